@@ -1,0 +1,34 @@
+"""Errors a user can mend. Every message says what was expected, what was found, and the remedy."""
+
+
+class TwoHandsError(Exception):
+    """Base of every expected failure. The command line prints it as one line and exits with code 2."""
+
+
+class InputError(TwoHandsError):
+    """A value, file or folder given by the user cannot be used."""
+
+
+class DataFormatError(TwoHandsError):
+    """A file exists but does not hold what its format promises."""
+
+
+class CheckpointError(TwoHandsError):
+    """Weights are missing, damaged, or belong to another network."""
+
+
+class MissingExtraError(TwoHandsError):
+    """An optional part of the package is needed but not installed.
+
+    Args:
+        feature: what was asked for, in the user's words.
+        extra: the name of the pip extra that brings it.
+    """
+
+    def __init__(self, feature: str, extra: str) -> None:
+        super().__init__(f"{feature} needs the extra '{extra}': pip install 'twohands[{extra}]'")
+        self.extra = extra
+
+
+class RendererError(TwoHandsError):
+    """No OpenGL context can be made on this machine."""

@@ -1,0 +1,222 @@
+"""Plain records that cross package borders. Conventions: docs/conventions.md.
+
+Camera frame: x right, y down, z forward, metres. Pixels: (u, v), (0, 0) is the outer corner of the first pixel.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from twohands.errors import InputError
+
+Array = Any
+"""A numpy array or a torch tensor; functions of `twohands.geometry` return the kind they were given."""
+
+
+@dataclass(frozen=True, slots=True)
+class PinholeCamera:
+    """Intrinsics of one camera at one image size.
+
+    Attributes:
+        fx, fy: focal lengths in pixels, positive.
+        cx, cy: principal point in pixels, measured from the image's outer corner.
+        width, height: image size in pixels.
+        distortion: OpenCV coefficients (k1, k2, p1, p2[, k3[, k4, k5, k6]]), empty for none.
+
+    Raises:
+        InputError: a value is not finite or not positive where it must be.
+    """
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    width: int
+    height: int
+    distortion: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("fx", "fy", "cx", "cy", "width", "height"):
+            value = getattr(self, name)
+            if not math.isfinite(value):
+                raise InputError(f"camera: {name} must be a finite number, got {value}")
+            if name in ("fx", "fy", "width", "height") and value <= 0:
+                raise InputError(f"camera: {name} must be positive, got {value}")
+        if len(self.distortion) not in (0, 4, 5, 8) or not all(map(math.isfinite, self.distortion)):
+            raise InputError(f"camera: distortion needs 0, 4, 5 or 8 finite numbers, got {self.distortion}")
+
+    @classmethod
+    def from_fov(cls, hfov_deg: float, width: int, height: int) -> PinholeCamera:
+        """A camera with square pixels, centred principal point and the given horizontal field of view in degrees."""
+        if not (math.isfinite(hfov_deg) and 0.0 < hfov_deg < 180.0):
+            raise InputError(f"field of view must lie between 0 and 180 degrees, got {hfov_deg}")
+        focal = 0.5 * width / math.tan(math.radians(hfov_deg) / 2)
+        return cls(focal, focal, width / 2, height / 2, width, height)
+
+    @classmethod
+    def ego3dhands(cls, width: int = 480, height: int = 270) -> PinholeCamera:
+        """The paper's camera: f = 187.932 px at 480x270, centred principal point (SPEC 1.1)."""
+        focal = 187.932202 * height / 270
+        return cls(focal, focal, width / 2, height / 2, width, height)
+
+    @property
+    def hfov_deg(self) -> float:
+        """Horizontal field of view in degrees, lens distortion ignored."""
+        return math.degrees(math.atan(self.cx / self.fx) + math.atan((self.width - self.cx) / self.fx))
+
+    def resized(self, width: int, height: int) -> PinholeCamera:
+        """The same camera after its image was resized; a plain product, because pixel (0, 0) is the outer corner."""
+        sx, sy = width / self.width, height / self.height
+        return PinholeCamera(
+            self.fx * sx, self.fy * sy, self.cx * sx, self.cy * sy, width, height, self.distortion
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class RenderedFrame:
+    """What a renderer returns for one scene.
+
+    Attributes:
+        rgb: (H, W, 3) uint8, straight (not premultiplied) colour, 0 where alpha is 0.
+        alpha: (H, W) uint8.
+        depth_m: (H, W) float32, planar z in metres, 0 on the background.
+        part_labels: (H, W) uint8, 0..14 (`skeleton.part_label`).
+        joints_m: (2, 22, 3) float64, camera frame, (elbow, 21 joints); NaN for an absent hand.
+        present: (2,) bool, (LEFT, RIGHT).
+        camera: the camera it was rendered with.
+    """
+
+    rgb: np.ndarray
+    alpha: np.ndarray
+    depth_m: np.ndarray
+    part_labels: np.ndarray
+    joints_m: np.ndarray
+    present: np.ndarray
+    camera: PinholeCamera
+
+
+@dataclass(frozen=True, slots=True)
+class HandSample:
+    """One labelled picture, whatever its origin.
+
+    Attributes:
+        image: (H, W, 3) uint8 RGB.
+        camera: intrinsics at this image size.
+        present: (2,) bool, (LEFT, RIGHT).
+        joints_px: (2, 21, 2) float, pixels of this image; NaN where unknown.
+        joints_m: (2, 21, 3) float, camera frame, metres; NaN where unknown.
+        valid: (2, 21) bool, which joints carry labels.
+        labels: (H, W) uint8 part labels 0..14, or None.
+        depth_m: (H, W) float32 planar depth, 0 on the background, or None.
+        source: identifies the sample in messages and reports.
+    """
+
+    image: np.ndarray
+    camera: PinholeCamera
+    present: np.ndarray
+    joints_px: np.ndarray
+    joints_m: np.ndarray
+    valid: np.ndarray
+    labels: np.ndarray | None = None
+    depth_m: np.ndarray | None = None
+    source: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class HandCrop:
+    """A square picture of one hand and how to leave it again.
+
+    Attributes:
+        image: (S, S, 3) uint8 RGB, composed and mirrored as the network sees it.
+        image_from_crop: (3, 3) float64 homography from crop pixels to pixels of the full image; it contains the
+            mirroring, so un-cropping and un-mirroring a point is one call of `geometry.boxes.apply_homography`.
+        side: LEFT or RIGHT.
+        mirrored: whether the crop was flipped, so that the network sees a left-like hand.
+    """
+
+    image: np.ndarray
+    image_from_crop: np.ndarray
+    side: int
+    mirrored: bool
+
+
+@dataclass(frozen=True, slots=True)
+class GlobalPose:
+    """Result of the global projection; leading batch dimensions as in the input.
+
+    Attributes:
+        joints_m: (..., 21, 3) camera frame, metres; NaN where not valid.
+        radius_m: (...) distance of the root joint from the pinhole; NaN where not valid.
+        theta, phi: (...) direction of the root joint in radians (SPEC 5.1).
+        key_bone: (...) index into `skeleton.KEY_BONES` of the bone that was, or would be, used.
+        valid: (...) bool.
+    """
+
+    joints_m: Array
+    radius_m: Array
+    theta: Array
+    phi: Array
+    key_bone: Array
+    valid: Array
+
+
+@dataclass(frozen=True, slots=True)
+class HandPose:
+    """Everything known about one hand in one image. Absent hands have `present` False and None elsewhere.
+
+    Attributes:
+        present: whether the hand was found.
+        score: confidence of presence, 0..1.
+        box_px: (4,) u0, v0, u1, v1 in pixels.
+        joints_px: (21, 2) pixels.
+        joint_scores: (21,) 0..1.
+        canonical: (21, 3) unitless, root at 0, |wrist - root| = 1, centred frame.
+        joints_m: (21, 3) camera frame, metres; None if the projection is not valid.
+        range_m: distance of the root joint, metres; None if not valid.
+        theta_deg, phi_deg: direction of the root joint.
+        key_bone: "wrist" or "little".
+        method: how the range was solved: "keybone", "all-joints".
+        valid: whether the camera-space result can be used.
+    """
+
+    present: bool
+    score: float | None = None
+    box_px: np.ndarray | None = None
+    joints_px: np.ndarray | None = None
+    joint_scores: np.ndarray | None = None
+    canonical: np.ndarray | None = None
+    joints_m: np.ndarray | None = None
+    range_m: float | None = None
+    theta_deg: float | None = None
+    phi_deg: float | None = None
+    key_bone: str | None = None
+    method: str | None = None
+    valid: bool | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class TwoHandPose:
+    """Both hands in one image.
+
+    Attributes:
+        left, right: the person's own hands in an unmirrored image.
+        camera: intrinsics that were used.
+        masks: (H, W) uint8, 0 background, 1 left, 2 right; not exported.
+        index, time_s: position in the source.
+    """
+
+    left: HandPose
+    right: HandPose
+    camera: PinholeCamera
+    masks: np.ndarray | None = field(default=None, repr=False)
+    index: int = 0
+    time_s: float | None = None
+
+    @property
+    def hands(self) -> tuple[HandPose, HandPose]:
+        """(LEFT, RIGHT)."""
+        return self.left, self.right
