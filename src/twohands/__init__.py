@@ -1,3 +1,63 @@
-"""Both hands in metres, from one plain RGB camera."""
+"""Both hands in metres, from one plain RGB camera.
+
+    from twohands import HandEstimator, PinholeCamera, read_image
+
+    image = read_image("hands.jpg")
+    camera = PinholeCamera.from_fov(60, image.shape[1], image.shape[0])
+    pose = HandEstimator.from_preset().estimate(image, camera, hand_length_m=0.095)
+    pose.left.joints_m  # (21, 3) metres, camera frame: x right, y down, z forward
+
+Public names are imported when first used, so that `import twohands` costs nothing.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from twohands.errors import TwoHandsError
+    from twohands.inference.camera_files import read_camera
+    from twohands.inference.estimator import HandEstimator, StageTruth
+    from twohands.inference.sources import read_image
+    from twohands.types import HandPose, PinholeCamera, TwoHandPose
+    from twohands.visualization.overlay import draw_overlay
+    from twohands.visualization.views import draw_views
 
 __version__ = "0.1.0"
+
+_HOME = {
+    "HandEstimator": "twohands.inference.estimator",
+    "HandPose": "twohands.types",
+    "PinholeCamera": "twohands.types",
+    "StageTruth": "twohands.inference.estimator",
+    "TwoHandPose": "twohands.types",
+    "TwoHandsError": "twohands.errors",
+    "draw_overlay": "twohands.visualization.overlay",
+    "draw_views": "twohands.visualization.views",
+    "read_camera": "twohands.inference.camera_files",
+    "read_image": "twohands.inference.sources",
+}
+
+__all__ = [
+    "HandEstimator",
+    "HandPose",
+    "PinholeCamera",
+    "StageTruth",
+    "TwoHandPose",
+    "TwoHandsError",
+    "draw_overlay",
+    "draw_views",
+    "read_camera",
+    "read_image",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'twohands' has no attribute {name!r}")
+    return getattr(importlib.import_module(_HOME[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

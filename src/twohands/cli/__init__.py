@@ -1,1 +1,1 @@
-"""."""
+"""The command line: `twohands VERB ...`, one module per verb."""

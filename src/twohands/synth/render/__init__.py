@@ -1,1 +1,1 @@
-"""."""
+"""Renderers: the same SceneSpec in, the same labels out."""

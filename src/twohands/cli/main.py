@@ -1,0 +1,122 @@
+"""`twohands VERB ...`: find the verb's module, parse its arguments, run it, turn errors into one line.
+
+A verb's module exposes a frozen dataclass of arguments and `run(args) -> exit code`, annotated with that dataclass.
+Only the chosen module is imported, so help and tracking need none of the extras.
+"""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import os
+import sys
+import typing
+from collections.abc import Sequence
+
+from twohands import __version__
+from twohands.errors import MissingExtraError, TwoHandsError
+
+VERBS = {
+    "track": "both hands in metres from an image or a folder of images",
+    "demo": "track the packaged example images",
+    "generate": "render labelled synthetic data",
+    "inspect": "check a dataset: integrity, counts, contact sheet",
+    "train": "train the three networks",
+    "eval": "measure the pipeline on a dataset",
+    "export": "turn checkpoints into a weights folder that track can use",
+}
+_EXTRA_OF_MODULE = {
+    "torch": "train",
+    "lightning": "train",
+    "lightning_fabric": "train",
+    "safetensors": "train",
+    "onnx": "train",
+    "onnxscript": "train",
+    "moderngl": "synth",
+    "anny": "synth-bake",
+    "matplotlib": "view",
+}
+
+EXIT_USER_ERROR = 2
+EXIT_INTERRUPTED = 130
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command.
+
+    Args:
+        argv: arguments after the program's name; None for those of this process.
+
+    Returns:
+        0 on success, 2 where the user can mend what went wrong, 130 after Ctrl-C.
+    """
+    words = list(sys.argv[1:] if argv is None else argv)
+    if not words or words[0] in ("-h", "--help"):
+        print(_help())
+        return 0
+    if words[0] == "--version":
+        print(f"twohands {__version__}")
+        return 0
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # its decoders' complaints come out as our one line
+    try:
+        return _run_verb(words[0], words[1:])
+    except TwoHandsError as error:
+        return _fail(str(error))
+    except ModuleNotFoundError as error:
+        extra = _EXTRA_OF_MODULE.get((error.name or "").split(".")[0])
+        if extra is None:
+            raise
+        return _fail(str(MissingExtraError(f"twohands {words[0]}", extra)))
+    except KeyboardInterrupt:
+        print("twohands: interrupted", file=sys.stderr)
+        return EXIT_INTERRUPTED
+
+
+def _run_verb(verb: str, arguments: list[str]) -> int:
+    """Import the verb's module, parse its arguments with tyro, run it."""
+    if verb not in VERBS:
+        close = difflib.get_close_matches(verb, VERBS, n=1)
+        hint = f"did you mean '{close[0]}'?" if close else f"known: {', '.join(VERBS)}"
+        return _fail(f"unknown command '{verb}'; {hint}")
+    module = importlib.import_module(f"twohands.cli.{verb}")
+    import tyro
+
+    hints = typing.get_type_hints(module.run)
+    config_type = next(hint for name, hint in hints.items() if name != "return")
+    try:
+        args = tyro.cli(
+            config_type,
+            args=arguments,
+            prog=f"twohands {verb}",
+            description=module.__doc__,
+            config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitSubcommandPrefixes),
+        )
+    except SystemExit as stop:  # tyro has printed its help (0) or what is wrong with the arguments (2)
+        return int(stop.code or 0)
+    return module.run(args)
+
+
+def _help() -> str:
+    width = max(map(len, VERBS))
+    lines = [f"  {verb:<{width}}  {what}" for verb, what in VERBS.items()]
+    return "\n".join(
+        [
+            "usage: twohands VERB ...",
+            "",
+            "Both hands in metres, from one plain RGB camera, on a plain CPU.",
+            "",
+            *lines,
+            "",
+            "twohands VERB --help shows a verb's options; twohands --version the version.",
+        ]
+    )
+
+
+def _fail(message: str) -> int:
+    """One line on stderr."""
+    print(f"twohands: error: {' '.join(message.split())}", file=sys.stderr)
+    return EXIT_USER_ERROR
+
+
+if __name__ == "__main__":
+    sys.exit(main())

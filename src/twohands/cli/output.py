@@ -1,0 +1,58 @@
+"""Files that appear whole or not at all, in folders that are asked about first."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+
+from twohands.errors import InputError
+
+
+def check_output_folder(folder: Path, *, overwrite: bool) -> None:
+    """See, before any work is done, whether results may go to a folder; nothing is created yet.
+
+    Args:
+        folder: where results are to go.
+        overwrite: whether a folder that holds something already is welcome.
+
+    Raises:
+        InputError: it cannot be made or written, or it is not empty and `overwrite` is False.
+    """
+    existing = folder
+    while not os.path.lexists(existing) and existing != existing.parent:
+        existing = existing.parent
+    if not existing.is_dir():
+        raise InputError(f"output {folder}: {existing} is a file, not a folder; choose another --out")
+    if not os.access(existing, os.W_OK | os.X_OK):
+        raise InputError(f"output {folder}: no permission to write to {existing}; choose another --out")
+    if not overwrite and existing == folder and any(folder.iterdir()):
+        raise InputError(f"output {folder} is not empty; choose another --out, or allow it with --overwrite")
+
+
+def write_file(path: Path, content: bytes) -> None:
+    """Write a file through a temporary neighbour, so that it appears whole or not at all; folders are made.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(content)
+            os.chmod(temporary, 0o666 & ~_umask())
+            os.replace(temporary, path)
+        except BaseException:
+            os.unlink(temporary)
+            raise
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def _umask() -> int:
+    """The process's umask; mkstemp makes private files, results should be as readable as any other file."""
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

@@ -1,0 +1,259 @@
+"""Both hands in metres from an image or a folder of images.
+
+Prints a table and writes hands.json, an overlay and the three-view figure of every image.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import cv2
+import numpy as np
+import tyro
+
+from twohands.cli.output import check_output_folder, write_file
+from twohands.errors import InputError, MissingExtraError, TwoHandsError
+from twohands.inference.camera_files import camera_for_image, read_camera
+from twohands.inference.estimator import DEFAULT_HAND_LENGTH_M, HandEstimator
+from twohands.inference.records import to_dict
+from twohands.inference.sources import list_images, read_image
+from twohands.inference.weights import DEFAULT_PRESET
+from twohands.skeleton import SIDES
+from twohands.types import PinholeCamera, TwoHandPose
+from twohands.visualization.overlay import draw_overlay
+
+DEFAULT_FOV_DEG = 60.0
+PLAUSIBLE_HAND_LENGTH_CM = (4.0, 15.0)
+
+
+@dataclass(frozen=True)
+class TrackArgs:
+    """Arguments of `twohands track`."""
+
+    input: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="INPUT")]
+    """Image (PNG, JPEG, WebP, BMP) or folder of images."""
+    out: Path | None = None
+    """Folder for the results; default out/track/<name of the input>."""
+    camera: Path | None = None
+    """Camera file: JSON with fx, fy, cx, cy, width, height[, distortion], or the YAML of OpenCV's calibration."""
+    fov: float | None = None
+    """Horizontal field of view in degrees, where no camera file is known; default 60."""
+    hand_length: float | None = None
+    """From wrist to middle knuckle in cm; ranges scale with it; default 10."""
+    weights: str = DEFAULT_PRESET
+    """Preset that ships with the package, or a weights folder."""
+    json: bool = False
+    """Print hands.json instead of the table."""
+    overwrite: bool = False
+    """Write into a folder that already holds something."""
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """One picture to work on.
+
+    Attributes:
+        path: its file.
+        index: its position among the input's files.
+        image: (H, W, 3) uint8 RGB.
+        camera: intrinsics at this size.
+    """
+
+    path: Path
+    index: int
+    image: np.ndarray
+    camera: PinholeCamera
+
+
+def run(args: TrackArgs) -> int:
+    """Carry out `twohands track`."""
+    hand_length_m = _hand_length_m(args.hand_length)
+    camera = _camera(args)
+    folder = args.input.is_dir()
+    files = list_images(args.input) if folder else [args.input]
+    pictures = _readable(files, camera, args.fov) if folder else [_open(args.input, 0, camera, args.fov)]
+    out = args.out or Path("out") / "track" / (args.input.resolve().name if folder else args.input.stem)
+    check_output_folder(out, overwrite=args.overwrite)
+    _say_assumptions(args)
+    record = track_pictures(
+        pictures,
+        HandEstimator.from_preset(args.weights),
+        hand_length_m=hand_length_m,
+        out=out,
+        names=_result_names(files),
+        source=str(args.input),
+    )
+    if not record["frames"]:
+        raise InputError(f"{args.input}: none of its {len(files)} images can be used")
+    if args.json:
+        print(json.dumps(record))
+    else:
+        print_table(record, files)
+        print(f"written to {out}")
+    return 0
+
+
+def track_pictures(
+    pictures: Iterable[Picture],
+    estimator: HandEstimator,
+    *,
+    hand_length_m: float,
+    out: Path,
+    names: list[str],
+    source: str,
+) -> dict[str, Any]:
+    """Estimate every picture and write overlay, three-view figure and, at the end, hands.json.
+
+    Args:
+        pictures: what to work on.
+        estimator: the pipeline.
+        hand_length_m: |wrist - middle knuckle|, metres.
+        out: folder for the results.
+        names: beginning of the result files' names, by `Picture.index`.
+        source: named in hands.json.
+
+    Returns:
+        The content of hands.json.
+    """
+    poses: list[TwoHandPose] = []
+    with_views = True
+    for picture in pictures:
+        pose = estimator.estimate(picture.image, picture.camera, hand_length_m, index=picture.index)
+        name = names[picture.index]
+        write_file(out / f"{name}_overlay.png", _png(draw_overlay(picture.image, pose)))
+        if with_views:
+            with_views = _write_views(out / f"{name}_views.png", picture, pose)
+        poses.append(pose)
+    record = to_dict(poses, source=source, weights=estimator.card.name)
+    if poses:
+        write_file(out / "hands.json", (json.dumps(record) + "\n").encode())
+    return record
+
+
+def print_table(record: dict[str, Any], files: list[Path]) -> None:
+    """Print one row per hand."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=f"weights {record['weights']}", title_justify="left", title_style="dim")
+    table.add_column("image", overflow="fold")
+    for name in ("hand", "present"):
+        table.add_column(name)
+    for name in ("range cm", "theta deg", "phi deg", "score"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for frame in record["frames"]:
+        for i, side in enumerate(SIDES):
+            hand = frame["hands"][side]
+            table.add_row(
+                files[frame["index"]].name if i == 0 else "",
+                side,
+                "yes" if hand["present"] else "no",
+                _cell(hand["range_m"], 100.0),
+                _cell(hand["theta_deg"]),
+                _cell(hand["phi_deg"]),
+                _cell(hand["score"], digits=2),
+                end_section=i == 1,
+            )
+    Console().print(table)
+
+
+def _cell(value: float | None, factor: float = 1.0, digits: int = 1) -> str:
+    return "-" if value is None else f"{factor * value:.{digits}f}"
+
+
+def _hand_length_m(length_cm: float | None) -> float:
+    """The hand length in metres, checked; a doubtful one is remarked upon."""
+    if length_cm is None:
+        return DEFAULT_HAND_LENGTH_M
+    if not (math.isfinite(length_cm) and length_cm > 0):
+        raise InputError(f"--hand-length must be a positive number of cm, got {length_cm}")
+    low, high = PLAUSIBLE_HAND_LENGTH_CM
+    if not low <= length_cm <= high:
+        _say(f"a hand length of {length_cm:g} cm is unusual; from wrist to middle knuckle it is {low:g} to {high:g} cm")
+    return length_cm / 100
+
+
+def _camera(args: TrackArgs) -> PinholeCamera | None:
+    """The camera file's content; None where there is none. A bad field of view is refused here already."""
+    if args.camera is not None and args.fov is not None:
+        raise InputError("give --camera or --fov, not both")
+    if args.fov is not None:
+        PinholeCamera.from_fov(args.fov, 1, 1)
+    return None if args.camera is None else read_camera(args.camera)
+
+
+def _say_assumptions(args: TrackArgs) -> None:
+    if args.camera is None and args.fov is None:
+        _say(
+            f"no camera given: assuming a horizontal field of view of {DEFAULT_FOV_DEG:g} degrees; "
+            "ranges depend on it (--camera FILE or --fov DEG)"
+        )
+    if args.hand_length is None:
+        _say(
+            f"no hand length given: assuming {100 * DEFAULT_HAND_LENGTH_M:g} cm from wrist to middle knuckle; "
+            "ranges scale with it (--hand-length CM)"
+        )
+
+
+def _open(path: Path, index: int, camera: PinholeCamera | None, fov_deg: float | None) -> Picture:
+    """Read one picture and fit the camera to its size."""
+    image = read_image(path)
+    height, width = image.shape[:2]
+    if camera is None:
+        fitted = PinholeCamera.from_fov(DEFAULT_FOV_DEG if fov_deg is None else fov_deg, width, height)
+    else:
+        fitted = camera_for_image(camera, width, height)
+    return Picture(path, index, image, fitted)
+
+
+def _readable(files: list[Path], camera: PinholeCamera | None, fov_deg: float | None) -> Iterator[Picture]:
+    """Pictures of a folder one by one, with progress; those that cannot be used are named, and counted at the end."""
+    from rich.console import Console
+    from rich.progress import track
+
+    console = Console(stderr=True)
+    skipped = 0
+    for index, path in enumerate(track(files, "tracking", console=console, disable=not console.is_terminal)):
+        try:
+            picture = _open(path, index, camera, fov_deg)
+        except TwoHandsError as error:
+            _say(f"skipped {error}")
+            skipped += 1
+            continue
+        yield picture
+    if skipped:
+        _say(f"{skipped} of {len(files)} images skipped")
+
+
+def _result_names(files: list[Path]) -> list[str]:
+    """Beginning of each result's file name: the stem, with the suffix where two files share a stem."""
+    stems = [path.stem for path in files]
+    return [path.stem if stems.count(path.stem) == 1 else path.name.replace(".", "_") for path in files]
+
+
+def _write_views(path: Path, picture: Picture, pose: TwoHandPose) -> bool:
+    """Write the three-view figure; False, and one message, where matplotlib is missing."""
+    from twohands.visualization.views import render_views
+
+    try:
+        write_file(path, render_views(picture.image, pose, title=picture.path.name))
+    except MissingExtraError as error:
+        _say(f"no three-view figure: {error}")
+        return False
+    return True
+
+
+def _png(image: np.ndarray) -> bytes:
+    """(H, W, 3) RGB uint8 as the bytes of a PNG file."""
+    return cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))[1].tobytes()
+
+
+def _say(message: str) -> None:
+    """One line on stderr; stdout is for results."""
+    print(f"twohands: {message}", file=sys.stderr)

@@ -1,0 +1,111 @@
+"""Train one of the three networks.
+
+The order is hand_seg_net and pose_net_2d (in any order), then pose_net_3d on the trained pose_net_2d. A run can be
+interrupted and resumed. Any setting of the run can be changed with --set, e.g. --set optim.learning_rate=5e-4; the
+run's folder holds all of them in config.json.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from twohands.errors import InputError
+
+
+@dataclass(frozen=True)
+class TrainArgs:
+    """Arguments of `twohands train`."""
+
+    stage: Annotated[
+        tyro.conf.Positional[Literal["hand_seg_net", "pose_net_2d", "pose_net_3d"]], tyro.conf.arg(metavar="STAGE")
+    ]
+    """Which network: hand_seg_net, pose_net_2d or pose_net_3d."""
+    out: Path
+    """Folder of the run."""
+    data: str = ""
+    """Folder of training pictures, or "synthetic" to render them on the fly; needed unless resuming."""
+    recipe: Literal["ours", "paper"] = "ours"
+    """ours: slim networks that learn in minutes on a CPU; paper: networks, losses and schedule of the publication."""
+    weights: tuple[Path, ...] = ()
+    """Checkpoints to start from; pose_net_3d needs one of pose_net_2d."""
+    max_minutes: float | None = None
+    """Wall-clock budget over all resumes, 0 for none; default: the recipe's."""
+    iterations: int | None = None
+    """Most optimizer steps; default: the recipe's."""
+    batch: int | None = None
+    """Pictures per step; default: the recipe's."""
+    seed: int | None = None
+    """Seed of weights, order and random changes; default 0."""
+    workers: int | None = None
+    """Processes that prepare batches; default 1."""
+    threads: int | None = None
+    """CPU threads of the training process; default: torch's choice."""
+    set: tuple[str, ...] = ()
+    """Further settings, NAME=VALUE."""
+    resume: bool = False
+    """Continue the run in --out, with its own settings except for those given here."""
+
+
+def resolve(args: TrainArgs):
+    """The run that the arguments ask for.
+
+    Returns:
+        A `training.config.TrainConfig`.
+
+    Raises:
+        InputError: an unknown setting, or a run that cannot be resumed.
+    """
+    from twohands.training.config import TrainConfig, recipe, with_override
+
+    config_file = args.out / "config.json"
+    if args.resume:
+        if not config_file.is_file():
+            raise InputError(f"{args.out} holds no training run to resume")
+        config = TrainConfig.from_dict(json.loads(config_file.read_text(encoding="utf-8")))
+        if config.stage != args.stage:
+            raise InputError(f"{args.out} holds a run of stage {config.stage}, not {args.stage}")
+    else:
+        config = recipe(args.recipe, args.stage)
+    given = {
+        "iterations": args.iterations,
+        "max_minutes": args.max_minutes,
+        "batch_images": args.batch,
+        "seed": args.seed,
+        "threads": args.threads,
+    }
+    config = dataclasses.replace(config, **{name: value for name, value in given.items() if value is not None})
+    data = {"source": args.data or None, "workers": args.workers}
+    changes = {name: value for name, value in data.items() if value is not None}
+    config = dataclasses.replace(config, data=dataclasses.replace(config.data, **changes))
+    for assignment in args.set:
+        config = with_override(config, assignment)
+    return config
+
+
+def run(args: TrainArgs) -> int:
+    """Train, printing one line per log entry."""
+    from twohands.training.sources import open_source
+    from twohands.training.trainer import train
+
+    config = resolve(args)
+    source, held_out = open_source(config.data)
+    print(f"{config.stage}, recipe {config.recipe}: {len(source)} pictures, {len(held_out)} held out")
+    result = train(
+        config,
+        source,
+        held_out,
+        args.out,
+        weights=args.weights,
+        resume=args.resume,
+        report=lambda line: print(line, flush=True),
+    )
+    print(f"{result.iterations} iterations in {result.minutes:.1f} min")
+    for name, path in result.checkpoints.items():
+        print(f"{name}: {path}")
+    return 0

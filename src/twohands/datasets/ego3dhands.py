@@ -1,0 +1,245 @@
+"""Reader of the Ego3DHands layout, for the authors' data and for ours alike.
+
+Source: SPEC 1.1 (files) and 1.2 (folders). The names of the published folders are undocumented, so any folder that
+contains `location_2d.npy` counts as an instance, wherever it lies below the root.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from twohands import ego3dhands_format as fmt
+from twohands.errors import DataFormatError, InputError
+from twohands.types import HandSample, PinholeCamera
+
+_PNG_END = b"IEND\xaeB`\x82"
+"""Type and checksum of the chunk that closes every complete PNG file."""
+_ARRAY_FILES = (fmt.JOINTS_2D_FILE, fmt.JOINTS_3D_FILE, fmt.CANONICAL_FILE)
+
+
+@dataclass(frozen=True, slots=True)
+class Ego3DHandsInstance:
+    """One instance in house conventions, elbows included.
+
+    Attributes:
+        path: the instance's folder.
+        image: (H, W, 3) uint8 RGB; `color_new.png`, or `color.png` on black where there is none.
+        camera: the dataset's camera at this image size (the layout stores no intrinsics).
+        present: (2,) bool, (LEFT, RIGHT).
+        joints_px: (2, 22, 2) float64 pixels, (elbow, 21 joints); NaN for an absent hand.
+        joints_m: (2, 22, 3) float64, camera frame, metres; NaN for an absent hand or a missing file.
+        canonical: (2, 22, 3) float64, canonical frame; NaN for an absent hand or a missing file.
+        labels: (H, W) uint8 part labels 0..14, or None.
+        depth_m: (H, W) float32 planar depth in metres, 0 on the background, or None.
+        missing: names of the layout's files that the folder does not hold.
+    """
+
+    path: Path
+    image: np.ndarray
+    camera: PinholeCamera
+    present: np.ndarray
+    joints_px: np.ndarray
+    joints_m: np.ndarray
+    canonical: np.ndarray
+    labels: np.ndarray | None
+    depth_m: np.ndarray | None
+    missing: tuple[str, ...]
+
+    def to_sample(self, source: str) -> HandSample:
+        """The instance without elbows and canonical joints."""
+        joints_px = self.joints_px[:, 1:]  # (2, 21, 2)
+        return HandSample(
+            image=self.image,
+            camera=self.camera,
+            present=self.present,
+            joints_px=joints_px,
+            joints_m=self.joints_m[:, 1:],
+            valid=np.asarray(np.isfinite(joints_px).all(axis=-1)),
+            labels=self.labels,
+            depth_m=self.depth_m,
+            source=source,
+        )
+
+
+class Ego3DHands:
+    """All instances below a folder, in natural order ("seq2/00009" before "seq10/00001").
+
+    Attributes:
+        root: the folder.
+        paths: the instances' folders.
+        skipped: (folder, reason) of every folder that looks like an instance but cannot be one; the published data
+            contains arrays of zero bytes.
+        hand_length_m: |wrist - root| of every hand of this dataset, in metres.
+
+    Args:
+        root: any folder above instances, or one instance's own folder.
+
+    Raises:
+        InputError: the folder does not exist or holds no instance.
+    """
+
+    hand_length_m = fmt.HAND_LENGTH_M
+
+    def __init__(self, root: str | os.PathLike[str]) -> None:
+        self.root = Path(root)
+        if not self.root.is_dir():
+            raise InputError(f"{self.root}: no such folder")
+        usable: list[Path] = []
+        skipped: list[tuple[Path, str]] = []
+        for folder in sorted(_instance_folders(self.root), key=lambda path: _natural_key(path, self.root)):
+            empty = [name for name in _ARRAY_FILES if _is_empty_file(folder / name)]
+            if empty:
+                skipped.append((folder, f"{', '.join(empty)}: zero bytes"))
+            else:
+                usable.append(folder)
+        self.paths = tuple(usable)
+        self.skipped = tuple(skipped)
+        if not self.paths:
+            also = f"; {len(skipped)} skipped because an array file has zero bytes" if skipped else ""
+            raise InputError(f"{self.root}: no instance found (a folder containing {fmt.JOINTS_2D_FILE}){also}")
+
+    @property
+    def name(self) -> str:
+        """Name of the root folder."""
+        return self.root.resolve().name
+
+    def __len__(self) -> int:
+        return len(self.paths)
+
+    def __getitem__(self, index: int) -> HandSample:
+        return read_instance(self.paths[index]).to_sample(self.source(index))
+
+    def source(self, index: int) -> str:
+        """Identifies an instance: its path below the root, or its own name if it is the root."""
+        path = self.paths[index]
+        return self.name if path == self.root else path.relative_to(self.root).as_posix()
+
+
+def read_instance(path: str | os.PathLike[str]) -> Ego3DHandsInstance:
+    """Reads one instance's folder.
+
+    Only `location_2d.npy` and one of `color_new.png` and `color.png` are required.
+
+    Args:
+        path: the folder.
+
+    Returns:
+        The instance; files it does not hold are named in `missing`.
+
+    Raises:
+        DataFormatError: a required file is missing, or any file is damaged or of the wrong shape.
+    """
+    folder = Path(path)
+    missing = tuple(name for name in _all_files() if not (folder / name).is_file())
+    image = read_png(folder / fmt.IMAGE_FILE, 3) if fmt.IMAGE_FILE not in missing else _color_on_black(folder)
+    height, width = image.shape[:2]
+
+    def optional_png(name: str) -> np.ndarray | None:
+        if name in missing:
+            return None
+        pixels = read_png(folder / name, 3)
+        if pixels.shape[:2] != (height, width):
+            raise DataFormatError(f"{folder / name}: expected {width}x{height} pixels as the image, got {pixels.shape}")
+        return pixels
+
+    absent = np.zeros((2, fmt.N_JOINTS_WITH_ELBOW, 3))
+    location_2d = _read_array(folder / fmt.JOINTS_2D_FILE)
+    location_3d = absent if fmt.JOINTS_3D_FILE in missing else _read_array(folder / fmt.JOINTS_3D_FILE)
+    location_canonical = absent if fmt.CANONICAL_FILE in missing else _read_array(folder / fmt.CANONICAL_FILE)
+    labels, depth = optional_png(fmt.LABELS_FILE), optional_png(fmt.DEPTH_FILE)
+    try:
+        joints_px = fmt.decode_joints_px(location_2d, width, height)
+        return Ego3DHandsInstance(
+            path=folder,
+            image=image,
+            camera=PinholeCamera.ego3dhands(width, height),
+            present=np.asarray(np.isfinite(joints_px).all(axis=(1, 2))),
+            joints_px=joints_px,
+            joints_m=fmt.decode_joints_m(location_3d),
+            canonical=fmt.decode_canonical(location_canonical),
+            labels=None if labels is None else fmt.decode_labels(labels),
+            depth_m=None if depth is None else fmt.decode_depth(depth),
+            missing=missing,
+        )
+    except DataFormatError as error:
+        raise DataFormatError(f"{folder}: {error}") from None
+
+
+def read_png(path: Path, channels: int) -> np.ndarray:
+    """Reads an 8-bit PNG completely, or not at all.
+
+    Args:
+        path: the file.
+        channels: 3 for RGB, 4 for RGBA.
+
+    Returns:
+        (H, W, channels) uint8.
+
+    Raises:
+        DataFormatError: the file is missing, empty, cut off, not a PNG, not 8-bit, or has other channels.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise DataFormatError(f"{path}: cannot be read ({error.strerror})") from None
+    if not data.endswith(_PNG_END):  # the decoder would fill the rest of a cut-off picture without a word
+        raise DataFormatError(f"{path}: {'zero bytes' if not data else 'not a complete PNG file'}")
+    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    if pixels is None:
+        raise DataFormatError(f"{path}: not a PNG file that can be decoded")
+    found = pixels.shape[2] if pixels.ndim == 3 else 1
+    if pixels.dtype != np.uint8 or found != channels:
+        raise DataFormatError(f"{path}: expected {channels} channels of 8 bits, got {found} of {pixels.dtype}")
+    order = cv2.COLOR_BGR2RGB if channels == 3 else cv2.COLOR_BGRA2RGBA
+    return cv2.cvtColor(pixels, order)
+
+
+def _all_files() -> tuple[str, ...]:
+    return (fmt.IMAGE_FILE, fmt.COLOR_FILE, fmt.LABELS_FILE, fmt.DEPTH_FILE, *_ARRAY_FILES)
+
+
+def _color_on_black(folder: Path) -> np.ndarray:
+    """(H, W, 3) uint8: the hands of `color.png` on black."""
+    if not (folder / fmt.COLOR_FILE).is_file():
+        raise DataFormatError(f"{folder}: expected {fmt.IMAGE_FILE} or {fmt.COLOR_FILE}, found neither")
+    rgba = read_png(folder / fmt.COLOR_FILE, 4)
+    return np.rint(rgba[..., :3] * (rgba[..., 3:] / 255.0)).astype(np.uint8)
+
+
+def _read_array(path: Path) -> np.ndarray:
+    try:
+        array = np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise DataFormatError(f"{path}: not a complete .npy file ({error})") from None
+    if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiu":
+        raise DataFormatError(f"{path}: expected an array of numbers")
+    return array
+
+
+def _instance_folders(root: Path) -> Iterator[Path]:
+    for folder, _, files in os.walk(root, followlinks=True):
+        if fmt.JOINTS_2D_FILE in files:
+            yield Path(folder)
+
+
+def _is_empty_file(path: Path) -> bool:
+    return path.is_file() and path.stat().st_size == 0
+
+
+def _natural_key(path: Path, root: Path) -> tuple[tuple[tuple[bool, int, str], ...], ...]:
+    """Sorts digits by value, and text before digits never compares with a number."""
+    return tuple(
+        tuple(
+            (not piece.isdigit(), int(piece) if piece.isdigit() else 0, piece)
+            for piece in re.split(r"(\d+)", part)
+            if piece
+        )
+        for part in path.relative_to(root).parts
+    )

@@ -1,0 +1,302 @@
+"""From a labelled picture to what each network is shown and asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from twohands.datasets.transforms import MaskConfig, PhotometricConfig, jitter_colours, spoil_masks
+from twohands.errors import DataFormatError, InputError
+from twohands.geometry.boxes import apply_homography, box_from_points, perspective_crop, square_crop, warp_image
+from twohands.geometry.canonical import canonical_from_camera
+from twohands.geometry.composition import compose_hand_input
+from twohands.skeleton import LEFT, N_JOINTS, RIGHT, ROOT, WRIST
+from twohands.types import HandSample, PinholeCamera
+
+MIRROR_X = np.diag([-1.0, 1.0, 1.0])
+
+
+@dataclass(frozen=True)
+class CropConfig:
+    """How a hand is cut out for PoseNet2D."""
+
+    kind: Literal["square", "perspective"] = "square"
+    """square: the paper's axis-aligned crop; perspective: what a camera that looks at the box's centre would see."""
+    margin: float = 1.5
+    """Crop side over the larger side of the hand's box (SPEC 2)."""
+    shift: float = 0.0
+    """Training: largest shift of the box centre, as a fraction of the box's larger side."""
+    smallest: float = 1.0
+    """Training: smallest factor on the box's size."""
+    largest: float = 1.0
+    """Training: largest factor on the box's size."""
+    min_joints: int = 12
+    """Hands with fewer labelled joints inside the picture are left out."""
+    min_visible: float = 0.01
+    """Hands whose mask covers less than this fraction of the crop are left out."""
+
+    def __post_init__(self) -> None:
+        if self.kind not in ("square", "perspective"):
+            raise InputError(f"crop: kind must be square or perspective, got {self.kind!r}")
+        if not (self.margin > 0 and self.shift >= 0 and 0 < self.smallest <= self.largest):
+            raise InputError(
+                f"crop: need margin > 0, shift >= 0, 0 < smallest <= largest, got {self.margin}, {self.shift}, "
+                f"{self.smallest}, {self.largest}"
+            )
+
+
+@dataclass(frozen=True)
+class ZoomConfig:
+    """Geometric changes of HandSegNet's training pictures."""
+
+    zoom: float = 0.0
+    """Largest change of log2 of the scale: 0.5 allows 0.71 to 1.41."""
+    shift: float = 0.0
+    """Largest shift as a fraction of the picture's size."""
+    flip: float = 0.0
+    """Probability of a horizontal flip; left and right swap places with it."""
+
+
+@dataclass(frozen=True, slots=True)
+class SegmentationTarget:
+    """One training example of HandSegNet.
+
+    Attributes:
+        image: (H, W, 3) uint8 RGB at network size.
+        classes: (H, W) uint8, 0 background, 1 left, 2 right; the forearm belongs to its hand (SPEC 2).
+        boxes_px: (2, 4) float32 u0, v0, u1, v1 in pixels of `image`, clipped to it; 0 for an absent hand.
+        present: (2,) bool.
+    """
+
+    image: np.ndarray
+    classes: np.ndarray
+    boxes_px: np.ndarray
+    present: np.ndarray
+
+
+@dataclass(frozen=True, slots=True)
+class PoseTarget:
+    """One training example of PoseNet2D and PoseNet3D: a left-like hand.
+
+    Attributes:
+        image: (S, S, 3) uint8 RGB, composed crop.
+        joints_px: (21, 2) float32 in crop pixels, 0 where `weight` is 0.
+        weight: (21,) float32, 1 for a labelled joint inside the crop, else 0.
+        canonical: (21, 3) float32, x mirrored for right hands; 0 where unknown.
+        canonical_weight: (21,) float32, 1 where `canonical` is known.
+        distance: root's distance from the pinhole over the hand length; 0 where unknown.
+        rays_from_crop: (3, 3) float32, crop pixels (u, v, 1) -> viewing ray in the left-like camera frame: mirrored
+            back for right hands, so that right hands need no further care downstream. Lens distortion ignored.
+        image_from_crop: (3, 3) float32, crop pixels -> pixels of the full picture.
+        side: LEFT or RIGHT.
+    """
+
+    image: np.ndarray
+    joints_px: np.ndarray
+    weight: np.ndarray
+    canonical: np.ndarray
+    canonical_weight: np.ndarray
+    distance: float
+    rays_from_crop: np.ndarray
+    image_from_crop: np.ndarray
+    side: int
+
+
+def hand_classes(labels: np.ndarray) -> np.ndarray:
+    """Part labels 0..14 -> classes 0 background, 1 left, 2 right, same shape, uint8."""
+    return ((labels > 0).astype(np.uint8) + (labels > 7)).astype(np.uint8)
+
+
+def hand_box(sample: HandSample, side: int) -> np.ndarray | None:
+    """Tight box of a hand's labelled 2D joints, clipped to the picture.
+
+    Returns:
+        (4,) u0, v0, u1, v1 in pixels; None if the hand is absent or less than 2 pixels of it are in the picture.
+    """
+    usable = np.asarray(sample.valid[side]) & np.isfinite(sample.joints_px[side]).all(axis=-1)
+    if not sample.present[side] or usable.sum() < 2:
+        return None
+    box = np.asarray(box_from_points(sample.joints_px[side], usable), dtype=np.float64)
+    height, width = sample.image.shape[:2]
+    box = np.clip(box, 0, [width, height, width, height])
+    return box if min(box[2] - box[0], box[3] - box[1]) >= 2 else None
+
+
+def segmentation_target(
+    sample: HandSample,
+    height: int,
+    width: int,
+    *,
+    photometric: PhotometricConfig | None = None,
+    zoom: ZoomConfig | None = None,
+    rng: np.random.Generator | None = None,
+) -> SegmentationTarget:
+    """What HandSegNet sees and should answer for one picture.
+
+    Args:
+        sample: must carry part labels.
+        height, width: network size.
+        photometric, zoom: training changes, used only with `rng`.
+        rng: source of randomness; None leaves the picture as it is.
+
+    Raises:
+        DataFormatError: no part labels.
+    """
+    if sample.labels is None:
+        raise DataFormatError(f"{sample.source}: HandSegNet needs part labels, this sample has none")
+    full_height, full_width = sample.image.shape[:2]
+    image = cv2.resize(sample.image, (width, height), interpolation=cv2.INTER_AREA)
+    rows = ((np.arange(height) + 0.5) * full_height / height).astype(int)
+    cols = ((np.arange(width) + 0.5) * full_width / width).astype(int)
+    classes = hand_classes(sample.labels[np.ix_(rows, cols)])
+
+    found = [hand_box(sample, side) for side in (LEFT, RIGHT)]
+    scale = np.array([width / full_width, height / full_height] * 2)
+    boxes = np.stack([np.zeros(4) if box is None else box * scale for box in found])
+    present = np.array([box is not None for box in found])
+
+    if rng is not None:
+        if zoom is not None:
+            image, classes, boxes, present = _zoomed(image, classes, boxes, present, zoom, rng)
+        if photometric is not None:
+            image = jitter_colours(image, photometric, rng)
+    return SegmentationTarget(image, classes, boxes.astype(np.float32), present)
+
+
+def _zoomed(image, classes, boxes, present, config: ZoomConfig, rng: np.random.Generator):
+    """Scale about the centre, shift, perhaps flip (swapping left and right); black and background outside."""
+    height, width = classes.shape
+    scale = 2.0 ** rng.uniform(-config.zoom, config.zoom)
+    shift = rng.uniform(-config.shift, config.shift, 2) * [width, height]
+    flip = rng.random() < config.flip
+    # out = scale * (in - centre) + centre + shift, in corner-based pixels; then u -> width - u
+    offset = np.array([width, height]) / 2 * (1 - scale) + shift
+    matrix = np.array([[scale, 0, offset[0]], [0, scale, offset[1]]])
+    if flip:
+        matrix[0] = [-scale, 0, width - offset[0]]
+    centred = matrix.copy()
+    centred[:, 2] += matrix[:, :2] @ [0.5, 0.5] - 0.5  # cv2 counts from the first pixel's centre
+    image = cv2.warpAffine(image, centred, (width, height), flags=cv2.INTER_LINEAR)
+    classes = cv2.warpAffine(classes, centred, (width, height), flags=cv2.INTER_NEAREST)
+    corners = boxes.reshape(2, 2, 2) * np.diag(matrix[:, :2]) + matrix[:, 2]
+    boxes = np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1)
+    boxes = np.clip(boxes, 0, [width, height, width, height])
+    present = present & (np.minimum(boxes[:, 2] - boxes[:, 0], boxes[:, 3] - boxes[:, 1]) >= 2)
+    if flip:
+        classes = np.array([0, 2, 1], np.uint8)[classes]
+        boxes, present = boxes[::-1], present[::-1]
+    return image, classes, np.where(present[:, None], boxes, 0.0), present
+
+
+def crop_matrix(
+    box_px: np.ndarray,
+    camera: PinholeCamera,
+    side: int,
+    size: int,
+    config: CropConfig,
+    rng: np.random.Generator | None = None,
+) -> np.ndarray:
+    """`image_from_crop` for a hand's box, (3, 3) float64, jittered if `rng` is given."""
+    box = np.asarray(box_px, dtype=np.float64)
+    if rng is not None:
+        larger = max(box[2] - box[0], box[3] - box[1])
+        centre = (box[:2] + box[2:]) / 2 + rng.uniform(-config.shift, config.shift, 2) * larger
+        half = (box[2:] - box[:2]) / 2 * rng.uniform(config.smallest, config.largest)
+        box = np.concatenate([centre - half, centre + half])
+    if config.kind == "square":
+        return np.asarray(square_crop(box, size=size, side=side, margin=config.margin))
+    return np.asarray(perspective_crop(box, camera, size=size, side=side, margin=config.margin))
+
+
+def pose_target(
+    sample: HandSample,
+    side: int,
+    size: int,
+    crop: CropConfig,
+    *,
+    photometric: PhotometricConfig | None = None,
+    masks: MaskConfig | None = None,
+    rng: np.random.Generator | None = None,
+) -> PoseTarget | None:
+    """What PoseNet2D and PoseNet3D see and should answer for one hand.
+
+    Without part labels the whole crop counts as the primary hand's mask.
+
+    Args:
+        sample: the picture.
+        side: LEFT or RIGHT.
+        size: crop side in pixels.
+        crop: kind of crop, jitter, and which hands to leave out.
+        photometric, masks: training changes, used only with `rng`.
+        rng: source of randomness; None gives the plain, centred crop.
+
+    Returns:
+        The target, or None if the hand is absent or too little of it can be seen.
+
+    Source: SPEC 3 (input composition, mirroring), SPEC 4 (targets).
+    """
+    box = hand_box(sample, side)
+    if box is None:
+        return None
+    known = np.asarray(sample.valid[side]) & np.isfinite(sample.joints_px[side]).all(axis=-1)
+    joints_px = np.where(known[:, None], sample.joints_px[side], 0.0)
+    height, width = sample.image.shape[:2]
+    if int((known & _inside(joints_px, width, height)).sum()) < crop.min_joints:
+        return None
+
+    image_from_crop = crop_matrix(box, sample.camera, side, size, crop, rng)
+    crop_joints = np.asarray(apply_homography(np.linalg.inv(image_from_crop), joints_px))
+    inside = known & _inside(crop_joints, size, size)
+    image = warp_image(sample.image, image_from_crop, size, interpolation="linear")
+    if sample.labels is None:
+        classes = np.full((size, size), side + 1, np.uint8)
+    else:
+        labels = warp_image(sample.labels, image_from_crop, size, interpolation="nearest")
+        classes = hand_classes(labels)
+        if (classes == side + 1).mean() < crop.min_visible:
+            return None
+        if rng is not None and masks is not None:
+            classes = spoil_masks(classes, labels == 1 + 7 * side, side, masks, rng)
+    if rng is not None and photometric is not None:
+        image = jitter_colours(image, photometric, rng)
+    composed = compose_hand_input(image, classes, np.eye(3), side, size)
+
+    canonical, distance, has_3d = _canonical_target(sample, side)
+    mirror = MIRROR_X if side == RIGHT else np.eye(3)
+    rays = mirror @ np.linalg.inv(_intrinsics(sample.camera)) @ image_from_crop
+    return PoseTarget(
+        image=composed,
+        joints_px=np.where(inside[:, None], crop_joints, 0.0).astype(np.float32),
+        weight=inside.astype(np.float32),
+        canonical=canonical.astype(np.float32),
+        canonical_weight=has_3d.astype(np.float32),
+        distance=distance,
+        rays_from_crop=rays.astype(np.float32),
+        image_from_crop=image_from_crop.astype(np.float32),
+        side=side,
+    )
+
+
+def _canonical_target(sample: HandSample, side: int) -> tuple[np.ndarray, float, np.ndarray]:
+    """Left-like canonical joints (21, 3), distance in hand lengths, and which joints are known (21,)."""
+    joints = np.asarray(sample.joints_m[side], dtype=np.float64)
+    known = np.asarray(sample.valid[side]) & np.isfinite(joints).all(axis=-1)
+    if not (known[ROOT] and known[WRIST]):
+        return np.zeros((N_JOINTS, 3)), 0.0, np.zeros(N_JOINTS, bool)
+    canonical = canonical_from_camera(np.where(known[:, None], joints, joints[ROOT]))
+    pose = np.where(known[:, None], canonical.joints, 0.0)
+    if side == RIGHT:
+        pose = pose @ MIRROR_X
+    return pose, float(np.linalg.norm(joints[ROOT]) / canonical.hand_length_m), known
+
+
+def _inside(points: np.ndarray, width: int, height: int) -> np.ndarray:
+    """(N, 2) points -> (N,) bool, within [0, width) x [0, height); NaN is outside."""
+    return (points >= 0).all(axis=-1) & (points[:, 0] < width) & (points[:, 1] < height)
+
+
+def _intrinsics(camera: PinholeCamera) -> np.ndarray:
+    return np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])

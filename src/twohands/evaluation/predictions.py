@@ -1,0 +1,253 @@
+"""Predictions of one run over a dataset, written first and scored later; scoring never runs a network.
+
+File format, version 1: one compressed .npz without pickled objects. Arrays are those of `Predictions`; `header` is a
+JSON text; masks are stored as one-channel PNG files, end to end in `masks_png`, cut at `masks_end`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import zipfile
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, fields
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from twohands.errors import DataFormatError, InputError
+from twohands.skeleton import N_JOINTS
+from twohands.types import HandPose, HandSample, TwoHandPose
+
+VERSION: Final = 1
+
+_ARRAYS: Final = {
+    "present": ((), np.bool_),
+    "valid": ((), np.bool_),
+    "score": ((), np.float64),
+    "box_px": ((4,), np.float64),
+    "joints_px": ((N_JOINTS, 2), np.float64),
+    "joint_scores": ((N_JOINTS,), np.float64),
+    "canonical": ((N_JOINTS, 3), np.float64),
+    "joints_m": ((N_JOINTS, 3), np.float64),
+}
+"""Per hand: shape behind (N, 2), and type."""
+
+
+@dataclass(frozen=True, slots=True)
+class Predictions:
+    """What a system said about N images; two-hand axis (LEFT, RIGHT).
+
+    Attributes:
+        dataset: name of the dataset.
+        dataset_id: fingerprint of the N samples' labels (`Fingerprint`).
+        weights: what identifies the network weights.
+        settings: everything else needed to repeat the run.
+        sources: (N,) the samples' names.
+        present: (N, 2) bool.
+        valid: (N, 2) bool, whether `joints_m` can be used.
+        score: (N, 2) confidence of presence 0..1; NaN where unknown.
+        box_px: (N, 2, 4) u0, v0, u1, v1 pixels; NaN if absent.
+        joints_px: (N, 2, 21, 2) pixels; NaN if absent.
+        joint_scores: (N, 2, 21) 0..1; NaN if absent.
+        canonical: (N, 2, 21, 3) unitless, centred frame; NaN if absent.
+        joints_m: (N, 2, 21, 3) camera frame, metres; NaN if absent or not valid.
+        masks_png: N PNG files of (H, W) uint8 masks, 0 background, 1 left, 2 right; empty bytes for no mask.
+    """
+
+    dataset: str
+    dataset_id: str
+    weights: str
+    settings: dict[str, Any]
+    sources: tuple[str, ...]
+    present: NDArray[np.bool_]
+    valid: NDArray[np.bool_]
+    score: NDArray[np.float64]
+    box_px: NDArray[np.float64]
+    joints_px: NDArray[np.float64]
+    joint_scores: NDArray[np.float64]
+    canonical: NDArray[np.float64]
+    joints_m: NDArray[np.float64]
+    masks_png: tuple[bytes, ...]
+
+    def __len__(self) -> int:
+        return len(self.sources)
+
+    def mask(self, index: int) -> NDArray[np.uint8] | None:
+        """(H, W) uint8 mask of one image, or None if none was recorded."""
+        data = self.masks_png[index]
+        return np.asarray(_decode_png(data)) if data else None
+
+
+class Fingerprint:
+    """Identifies labelled samples by their names and labels, in order: scores are only for the data they came from."""
+
+    def __init__(self) -> None:
+        self._hash = hashlib.sha256()
+
+    def add(self, sample: HandSample) -> None:
+        """Takes in one more sample; its picture does not count."""
+        self._hash.update(sample.source.encode())
+        self._hash.update(np.asarray(sample.present, np.uint8).tobytes())
+        for joints in (sample.joints_px, sample.joints_m):
+            self._hash.update(np.ascontiguousarray(joints, dtype="<f8").tobytes())
+
+    def __str__(self) -> str:
+        return self._hash.hexdigest()[:16]
+
+
+def predict(
+    samples: Iterable[HandSample],
+    estimate: Callable[[HandSample], TwoHandPose],
+    *,
+    dataset: str,
+    weights: str,
+    settings: dict[str, Any],
+) -> Predictions:
+    """Runs an estimator over samples and keeps everything that can be scored.
+
+    Args:
+        samples: labelled images; each is read once, in order.
+        estimate: the system under test. It must use no more of the sample than its settings say.
+        dataset: name of the dataset.
+        weights: what identifies the network weights.
+        settings: everything else needed to repeat the run, as JSON values.
+
+    Returns:
+        The predictions.
+    """
+    fingerprint = Fingerprint()
+    sources: list[str] = []
+    hands: list[tuple[HandPose, HandPose]] = []
+    masks: list[bytes] = []
+    for sample in samples:
+        pose = estimate(sample)
+        fingerprint.add(sample)
+        sources.append(sample.source)
+        hands.append(pose.hands)
+        masks.append(b"" if pose.masks is None else _encode_png(pose.masks))
+    return Predictions(
+        dataset=dataset,
+        dataset_id=str(fingerprint),
+        weights=weights,
+        settings=settings,
+        sources=tuple(sources),
+        masks_png=tuple(masks),
+        **{name: _stack(hands, name) for name in _ARRAYS},
+    )
+
+
+def save_predictions(path: str | os.PathLike[str], predictions: Predictions, *, overwrite: bool = False) -> None:
+    """Writes a predictions file, all of it or nothing.
+
+    Args:
+        path: ends in .npz.
+        predictions: what to write.
+        overwrite: replace an existing file.
+
+    Raises:
+        InputError: the file exists, cannot be written, or its name does not end in .npz.
+    """
+    target = check_predictions_path(path, overwrite=overwrite)
+    header = {"version": VERSION} | {
+        name: getattr(predictions, name) for name in ("dataset", "dataset_id", "weights", "settings")
+    }
+    temporary = target.with_name(f".{target.name}.{os.getpid()}")
+    try:
+        with temporary.open("wb") as file:
+            np.savez_compressed(
+                file,
+                header=np.array(json.dumps(header)),
+                sources=np.array(predictions.sources, dtype=np.str_),
+                masks_png=np.frombuffer(b"".join(predictions.masks_png), np.uint8),
+                masks_end=np.cumsum([len(data) for data in predictions.masks_png], dtype=np.int64),
+                **{name: getattr(predictions, name) for name in _ARRAYS},
+            )
+        temporary.replace(target)
+    except OSError as error:
+        raise InputError(f"{target}: cannot be written ({error.strerror})") from None
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def check_predictions_path(path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
+    """Checks before the long work, not after it, that a predictions file can be written there.
+
+    Raises:
+        InputError: the file exists, its folder does not, or its name does not end in .npz.
+    """
+    target = Path(path)
+    if target.suffix != ".npz":
+        raise InputError(f"{target}: the name of a predictions file must end in .npz")
+    if target.exists() and not overwrite:
+        raise InputError(f"{target}: exists already; choose another name or ask to overwrite it")
+    if not target.parent.is_dir() or not os.access(target.parent, os.W_OK):
+        raise InputError(f"{target}: folder {target.parent} does not exist or cannot be written to")
+    return target
+
+
+def load_predictions(path: str | os.PathLike[str]) -> Predictions:
+    """Reads a predictions file.
+
+    Raises:
+        InputError: no such file.
+        DataFormatError: not a predictions file of this version, or damaged.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            stored: dict[str, Any] = {name: archive[name] for name in archive.files}
+        header: dict[str, Any] = json.loads(str(stored["header"]))
+    except (OSError, ValueError, KeyError, EOFError, AttributeError, zipfile.BadZipFile) as error:
+        raise DataFormatError(f"{path}: not a complete predictions file ({error})") from None
+    if header.get("version") != VERSION:
+        raise DataFormatError(f"{path}: expected predictions of version {VERSION}, got {header.get('version')}")
+    wanted = {"sources", "masks_png", "masks_end", *_ARRAYS}
+    if missing := sorted(wanted - stored.keys()):
+        raise DataFormatError(f"{path}: predictions file lacks {', '.join(missing)}")
+    count = len(stored["sources"])
+    for name, (shape, _) in _ARRAYS.items():
+        if stored[name].shape != (count, 2, *shape):
+            raise DataFormatError(f"{path}: {name} has shape {stored[name].shape}, expected {(count, 2, *shape)}")
+    data = stored["masks_png"].tobytes()
+    ends = [0, *stored["masks_end"].tolist()]
+    return Predictions(
+        **{name: header[name] for name in ("dataset", "dataset_id", "weights", "settings")},
+        sources=tuple(str(source) for source in stored["sources"]),
+        masks_png=tuple(data[start:end] for start, end in pairwise(ends)),
+        **{name: stored[name] for name in _ARRAYS},
+    )
+
+
+def _stack(hands: list[tuple[HandPose, HandPose]], name: str) -> NDArray[Any]:
+    """(N, 2, ...) one attribute of all hands; NaN, or False, where a hand has none."""
+    shape, dtype = _ARRAYS[name]
+    empty = False if dtype is np.bool_ else np.nan
+    stacked = np.full((len(hands), 2, *shape), empty, dtype)
+    for index, pair in enumerate(hands):
+        for side, hand in enumerate(pair):
+            value = getattr(hand, name)
+            if value is not None and (hand.present or name == "score"):
+                stacked[index, side] = value
+    return stacked
+
+
+def _encode_png(mask: NDArray[np.uint8]) -> bytes:
+    return cv2.imencode(".png", mask)[1].tobytes()
+
+
+def _decode_png(data: bytes) -> NDArray[np.uint8]:
+    mask = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    if mask is None:
+        raise DataFormatError("a mask of the predictions file is damaged")
+    return np.asarray(mask, np.uint8)
+
+
+assert {field.name for field in fields(Predictions)} >= _ARRAYS.keys()

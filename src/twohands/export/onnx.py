@@ -1,0 +1,129 @@
+"""Trained networks as ONNX files with a card: the folder that `inference` loads, without torch."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import logging
+import os
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from twohands.errors import CheckpointError, InputError
+from twohands.models.checkpoint import load_network, read_note
+from twohands.models.hand_seg_net import HandSegNet
+from twohands.models.pose_net_2d import MAP_SIZE, PoseNet2D
+from twohands.models.pose_net_3d import PoseNet3D
+from twohands.skeleton import N_JOINTS
+
+CARD_VERSION = 1
+OPSET = 18
+
+
+class HeatmapNet(nn.Module):
+    """PoseNet2D whose output is what PoseNet3D consumes."""
+
+    def __init__(self, net: PoseNet2D) -> None:
+        super().__init__()
+        self.net = net
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B, 3, S, S) -> (B, 21, 32, 32)."""
+        return self.net.heatmaps(self.net(x))
+
+
+def export_network(network: nn.Module, path: str | Path) -> None:
+    """Write one network as ONNX, float32, with a free batch size, atomically.
+
+    Args:
+        network: HandSegNet (outputs seg_logits, energy_logits), PoseNet2D (output heatmaps, as PoseNet3D consumes them)
+            or PoseNet3D (output canonical). Inputs are normalised, NCHW.
+        path: destination.
+
+    Raises:
+        InputError: another kind of network.
+    """
+    if isinstance(network, HandSegNet):
+        shape = (2, 3, network.config.height, network.config.width_px)
+        model, inputs, outputs = network, "image", ["seg_logits", "energy_logits"]
+    elif isinstance(network, PoseNet2D):
+        shape = (2, 3, network.config.crop_size, network.config.crop_size)
+        model, inputs, outputs = HeatmapNet(network), "crop", ["heatmaps"]
+    elif isinstance(network, PoseNet3D):
+        shape = (2, N_JOINTS, MAP_SIZE, MAP_SIZE)
+        model, inputs, outputs = network, "heatmaps", ["canonical"]
+    else:
+        raise InputError(f"cannot export a {type(network).__name__}")
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(path.name + ".partial")
+    was_training = model.training
+    model.eval()
+    logging.getLogger("torch.onnx").setLevel(logging.ERROR)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        torch.onnx.export(
+            model,
+            (torch.zeros(shape),),
+            str(partial),
+            dynamo=True,
+            opset_version=OPSET,
+            input_names=[inputs],
+            output_names=outputs,
+            dynamic_shapes=({0: torch.export.Dim("batch", min=1, max=4096)},),
+            external_data=False,
+            verbose=False,
+        )
+    model.train(was_training)
+    os.replace(partial, path)
+
+
+def export_preset(
+    checkpoints: Mapping[str, Path], folder: Path, *, name: str, further: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
+    """Write the three networks and their card.
+
+    Args:
+        checkpoints: "hand_seg_net", "pose_net_2d", "pose_net_3d" -> file written by the trainer.
+        folder: destination, made if missing.
+        name: the preset's name.
+        further: values added to the card as they are (hardware, measured accuracy, ...).
+
+    Returns:
+        The card.
+
+    Raises:
+        CheckpointError: a checkpoint is missing, damaged, or was not written by the trainer.
+    """
+    networks = {key: load_network(key, checkpoints[key]) for key in ("hand_seg_net", "pose_net_2d", "pose_net_3d")}
+    notes = {key: read_note(path) for key, path in checkpoints.items()}
+    crop = notes["pose_net_2d"].get("crop")
+    if crop is None:
+        raise CheckpointError(f"{checkpoints['pose_net_2d']}: does not say how its crops were cut; train it again")
+    configs: dict[str, dict[str, Any]] = {key: dataclasses.asdict(net.config) for key, net in networks.items()}  # type: ignore[arg-type]
+    seg, pose = configs["hand_seg_net"], configs["pose_net_2d"]
+    card = {
+        "version": CARD_VERSION,
+        "name": name,
+        "hand_seg_net": {**seg, "input_size": [seg["height"], seg["width_px"]]},
+        "pose_net_2d": {
+            **pose,
+            "crop_kind": crop["kind"],
+            "crop_margin": crop["margin"],
+            "heatmap_decode": "softargmax" if pose["activation"] == "softmax" else "subpixel",
+        },
+        "pose_net_3d": configs["pose_net_3d"],
+        "training": notes,
+        **dict(further or {}),
+    }
+    for key, network in networks.items():
+        export_network(network, folder / f"{key}.onnx")
+    partial = folder / "card.json.partial"
+    partial.write_text(json.dumps(card, indent=2) + "\n", encoding="utf-8")
+    os.replace(partial, folder / "card.json")
+    return card

@@ -1,0 +1,177 @@
+"""Boxes, and the square pictures of one hand cut around them.
+
+A crop is described by one matrix, `image_from_crop`: crop pixels to image pixels, mirroring included. The networks see
+every hand as a left hand, so the crop of a right hand is mirrored, and taking a joint out of the crop and un-mirroring
+it is one multiplication.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from twohands.errors import InputError
+from twohands.geometry._arrays import float_arrays
+from twohands.geometry.camera import unproject
+from twohands.geometry.rotation import centring_angles, rotation_from_angles
+from twohands.skeleton import LEFT, RIGHT
+from twohands.types import Array, PinholeCamera
+
+
+def box_from_points(points_px: Array, valid: Array | None = None) -> Array:
+    """Tight box around points.
+
+    Args:
+        points_px: (..., N, 2) pixels; points that are not finite are left out.
+        valid: (..., N) bool, which points count; None for all.
+
+    Returns:
+        (..., 4) u0, v0, u1, v1 in pixels; NaN where no point is left.
+    """
+    xp, points = float_arrays(points_px)
+    counted = xp.all(xp.isfinite(points), axis=-1)
+    if valid is not None:
+        counted = counted & xp.astype(valid, xp.bool)
+    low = xp.min(xp.where(counted[..., None], points, xp.inf), axis=-2)
+    high = xp.max(xp.where(counted[..., None], points, -xp.inf), axis=-2)
+    return xp.where(xp.any(counted, axis=-1)[..., None], xp.concat([low, high], axis=-1), xp.nan)
+
+
+def box_iou(a: Array, b: Array) -> Array:
+    """Intersection over union.
+
+    Args:
+        a, b: (..., 4) u0, v0, u1, v1.
+
+    Returns:
+        (...) 0..1; 0 if both are empty, NaN if one is unknown.
+    """
+    xp, a, b = float_arrays(a, b)
+    overlap = xp.minimum(a[..., 2:], b[..., 2:]) - xp.maximum(a[..., :2], b[..., :2])
+    common = xp.prod(xp.clip(overlap, 0.0, None), axis=-1)
+    union = xp.prod(a[..., 2:] - a[..., :2], axis=-1) + xp.prod(b[..., 2:] - b[..., :2], axis=-1) - common
+    return common / xp.where(union == 0, xp.ones_like(union), union)
+
+
+def square_crop(box_px: Array, *, size: int, side: int, margin: float = 1.5) -> NDArray[np.float64]:
+    """The paper's crop: an upright square around the box, scaled to `size`.
+
+    Args:
+        box_px: (4,) u0, v0, u1, v1 in pixels.
+        size: side of the crop in its own pixels.
+        side: LEFT, or RIGHT for a mirrored crop.
+        margin: side of the square over the larger side of the box.
+
+    Returns:
+        image_from_crop: (3, 3).
+
+    Raises:
+        InputError: the box is not finite or has no extent.
+
+    Source: SPEC 2 (crop); the paper is silent on the margin.
+    """
+    u0, v0, u1, v1 = _checked_box(box_px)
+    scale = margin * max(u1 - u0, v1 - v0) / size
+    centre_u, centre_v = (u0 + u1) / 2, (v0 + v1) / 2
+    image_from_square = np.array(
+        [[scale, 0, centre_u - scale * size / 2], [0, scale, centre_v - scale * size / 2], [0, 0, 1]], dtype=np.float64
+    )
+    return image_from_square @ _mirror(side, size)
+
+
+def perspective_crop(
+    box_px: Array, camera: PinholeCamera, *, size: int, side: int, margin: float = 1.5
+) -> NDArray[np.float64]:
+    """Our crop: what a camera at the same place would see if it looked at the centre of the box.
+
+    Off the axis of a wide camera a hand is stretched; the canonical pose is not. This crop undoes the stretch: it is
+    K R^T K_crop^-1 with R the rotation that centres the box and K_crop a camera with square pixels.
+
+    Args:
+        box_px: (4,) u0, v0, u1, v1 in pixels.
+        camera: intrinsics; lens distortion is ignored, a homography cannot hold it.
+        size: side of the crop in its own pixels.
+        side: LEFT, or RIGHT for a mirrored crop.
+        margin: side of the crop over the smallest centred square that holds the whole box.
+
+    Returns:
+        image_from_crop: (3, 3).
+
+    Raises:
+        InputError: the box is not finite, has no extent, or reaches 90 degrees away from its own centre.
+
+    Source: SPEC 2 (crop), option of ours.
+    """
+    u0, v0, u1, v1 = _checked_box(box_px)
+    intrinsics = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]], dtype=np.float64)
+    pinhole = PinholeCamera(camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
+    rays = unproject(np.array([[(u0 + u1) / 2, (v0 + v1) / 2], [u0, v0], [u1, v0], [u0, v1], [u1, v1]]), pinhole)
+    rotation = rotation_from_angles(*centring_angles(rays[0]))
+    corners = rays[1:] @ rotation.T  # (4, 3) centred frame
+    if corners[:, 2].min() <= 0:
+        raise InputError(f"box {(u0, v0, u1, v1)} spans more than the half space before the camera; check the camera")
+    extent = 2 * np.abs(corners[:, :2] / corners[:, 2:]).max()
+    focal = size / (margin * extent)
+    crop_intrinsics = np.array([[focal, 0, size / 2], [0, focal, size / 2], [0, 0, 1]], dtype=np.float64)
+    return intrinsics @ rotation.T @ np.linalg.inv(crop_intrinsics) @ _mirror(side, size)
+
+
+def apply_homography(homography: Array, points: Array) -> Array:
+    """Map points through a homography.
+
+    Args:
+        homography: (..., 3, 3), scaled so that the third coordinate is positive in front of the camera, as in our
+            crops and their inverses (`numpy.linalg.inv`).
+        points: (..., N, 2) pixels.
+
+    Returns:
+        (..., N, 2) pixels; NaN for points behind the camera.
+    """
+    xp, homography, points = float_arrays(homography, points)
+    mapped = xp.matmul(
+        xp.concat([points, xp.ones_like(points[..., :1])], axis=-1), xp.matrix_transpose(homography)
+    )  # (..., N, 3)
+    in_front = mapped[..., 2:] > 0
+    depth = xp.where(in_front, mapped[..., 2:], xp.ones_like(mapped[..., 2:]))
+    return xp.where(in_front, mapped[..., :2] / depth, xp.nan)
+
+
+def warp_image(
+    image: Array,
+    image_from_crop: NDArray[np.float64],
+    size: int,
+    *,
+    interpolation: Literal["linear", "nearest"] = "linear",
+) -> Array:
+    """Cut a crop out of an image.
+
+    Args:
+        image: (H, W) or (H, W, C), uint8 or float32, at most 4 channels.
+        image_from_crop: (3, 3) crop pixels to image pixels, (0, 0) being outer corners on both sides.
+        size: side of the crop in pixels.
+        interpolation: "linear" for pictures, "nearest" for labels.
+
+    Returns:
+        (size, size[, C]), the image's dtype; 0 outside the image.
+    """
+    centre_from_corner = np.array([[1, 0, -0.5], [0, 1, -0.5], [0, 0, 1]], dtype=np.float64)
+    # OpenCV counts from the first pixel's centre, we from its outer corner.
+    matrix = centre_from_corner @ image_from_crop @ np.linalg.inv(centre_from_corner)
+    flags = (cv2.INTER_LINEAR if interpolation == "linear" else cv2.INTER_NEAREST) | cv2.WARP_INVERSE_MAP
+    return cv2.warpPerspective(image, matrix, (size, size), flags=flags, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+
+
+def _checked_box(box_px: Array) -> tuple[float, float, float, float]:
+    u0, v0, u1, v1 = (float(value) for value in box_px)
+    if not (np.isfinite([u0, v0, u1, v1]).all() and u1 >= u0 and v1 >= v0 and max(u1 - u0, v1 - v0) > 0):
+        raise InputError(f"a crop needs a finite box (u0, v0, u1, v1) with some extent, got {(u0, v0, u1, v1)}")
+    return u0, v0, u1, v1
+
+
+def _mirror(side: int, size: int) -> NDArray[np.float64]:
+    if side not in (LEFT, RIGHT):
+        raise InputError(f"side must be LEFT ({LEFT}) or RIGHT ({RIGHT}), got {side}")
+    return np.array([[-1, 0, size], [0, 1, 0], [0, 0, 1]], dtype=np.float64) if side == RIGHT else np.eye(3)

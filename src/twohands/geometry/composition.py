@@ -1,0 +1,41 @@
+"""The picture of one hand as the pose network sees it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twohands.geometry.boxes import warp_image
+from twohands.types import Array
+
+OTHER_HAND_WEIGHT = 0.5
+"""Brightness of the other hand: visible enough to explain what it hides (paper section 4.2)."""
+
+
+def compose_hand_input(
+    image: Array,
+    masks: Array,
+    image_from_crop: NDArray[np.float64],
+    side: int,
+    size: int,
+) -> Array:
+    """Crop one hand, black out the background, dim the other hand.
+
+    Args:
+        image: (H, W, 3) uint8 RGB.
+        masks: (h, w) uint8, 0 background, 1 left, 2 right, over the same view; its resolution may differ.
+        image_from_crop: (3, 3) from `square_crop` or `perspective_crop`; carries the mirroring.
+        side: LEFT or RIGHT, the hand in question.
+        size: side of the crop in pixels.
+
+    Returns:
+        (size, size, 3) uint8: crop * mask(this hand) + 0.5 * crop * mask(other hand), rounded down.
+
+    Source: paper section 4.2, SPEC 3 (input composition).
+    """
+    mask_per_image = np.array([masks.shape[1] / image.shape[1], masks.shape[0] / image.shape[0], 1.0])
+    crop = warp_image(image, image_from_crop, size)
+    mask = warp_image(masks, mask_per_image[:, None] * image_from_crop, size, interpolation="nearest")
+    weight = np.zeros(256, dtype=np.float32)
+    weight[1 + side], weight[2 - side] = 1.0, OTHER_HAND_WEIGHT
+    return (crop * weight[mask][..., None]).astype(np.uint8)

@@ -1,0 +1,227 @@
+"""From a canonical pose and its 2D joints to metres: the paper's central claim.
+
+The root's pixel gives the direction (theta, phi). What is missing is its distance r. With the camera turned towards
+the root, joint j of a hand of length L lies at (L x_j, L y_j, r + L z_j) and is seen along the slope m_j, so
+
+    m_j (r + L z_j) = L (x_j, y_j)        for every joint j.
+
+The paper solves this for one joint, the far end of the *key bone*; we solve it for all of them together.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+
+from twohands.errors import InputError
+from twohands.geometry._arrays import float_arrays
+from twohands.geometry.camera import project, unproject
+from twohands.geometry.canonical import camera_from_canonical
+from twohands.geometry.rotation import centring_angles, paper_angles, rotate, rotation_from_angles
+from twohands.skeleton import KEY_BONES, ROOT
+from twohands.types import Array, GlobalPose, PinholeCamera
+
+Method = Literal["all-joints", "keybone"]
+Angles = Literal["exact", "paper"]
+
+_SHORTEST_PX = 1e-6
+"""2D distance from the root, in pixels, up to which a joint says nothing about the range (SPEC 5.5)."""
+
+_SHORTEST_ACROSS = 1e-6
+"""The same in 3D: distance from the root across its line of sight, canonical units."""
+
+
+def project_global(
+    canonical: Array,
+    joints_px: Array,
+    camera: PinholeCamera,
+    hand_length_m: Array | float,
+    *,
+    method: Method = "all-joints",
+    angles: Angles = "exact",
+    weights: Array | None = None,
+) -> GlobalPose:
+    """Place a canonical pose in the camera frame, given where its joints are seen.
+
+    Args:
+        canonical: (..., 21, 3) unitless, root at 0, centred frame.
+        joints_px: (..., 21, 2) pixels of the camera's image, (0, 0) the outer corner of the first pixel.
+        camera: intrinsics; its lens distortion is undone.
+        hand_length_m: (...) or a number, |wrist - root| in metres, whichever key bone is used.
+        method: "all-joints", ours: the r of least squares over all joints. "keybone", the paper's: the r of one joint,
+            the wrist if it is seen strictly farther from the root than the little MCP, else the little MCP. Exact
+            input gives the same exact answer; noise hurts all-joints by about a third less (SPEC 5.5).
+        angles: "exact", or "paper" for the printed equation (`rotation.paper_angles`), kept for comparison.
+        weights: (..., 21) not negative, for "all-joints"; a joint of weight 0 is ignored and its pixel may be unknown.
+            None weighs all joints alike.
+
+    Returns:
+        The pose in metres. `theta` and `phi` are known wherever the root's pixel is, else NaN. Not valid (joints and
+        radius NaN): input that is not finite, a hand length not above 0, all used joints seen at the root's pixel or
+        lying on its line of sight, the root or a used joint not in front of the centred camera (r <= 0 included).
+
+    Raises:
+        InputError: an unknown method or kind of angles, or weights for the key bone.
+
+    Source: paper section 4.4, SPEC 5.3 (key bone) and SPEC 4 (all joints).
+    """
+    if method not in ("all-joints", "keybone") or angles not in ("exact", "paper"):
+        raise InputError(
+            f"expected method all-joints or keybone and angles exact or paper, got {method!r} and {angles!r}"
+        )
+    if weights is not None and method == "keybone":
+        raise InputError("the key bone method uses one joint and takes no weights; use method='all-joints'")
+    given = () if weights is None else (weights,)
+    xp, canonical, joints_px, length, *given = float_arrays(canonical, joints_px, hand_length_m, *given)
+    with np.errstate(all="ignore"):  # values near the end of the range may overflow; the result is then not valid
+        # Unknown values are replaced, not skipped: gradients of the other hands in the batch stay clean.
+        pose = _finite_or(xp, canonical, 0.0)
+        scale = _finite_or(xp, length, 1.0)[..., None]
+        known, rays, theta, phi = _centred_rays(xp, _rays(xp, joints_px, camera), angles)
+        slopes, in_front = _slopes(xp, rays)
+        key_bone, key_joint = _key_joint(xp, joints_px)
+
+        if method == "keybone":
+            weight = xp.astype(key_joint, canonical.dtype)
+            radius = _keybone_radius(xp, slopes, pose, scale, key_joint)
+            observed = xp.all(xp.stack([known[..., joint] for joint, _ in KEY_BONES]), axis=0)
+        else:
+            weight = given[0] if given else xp.ones_like(joints_px[..., 0])
+            radius = _least_squares_radius(xp, slopes, pose, scale, xp.where(weight > 0, weight, 0.0))
+            observed = xp.all((known | (weight == 0)) & (weight >= 0), axis=-1)
+
+        used = weight > 0
+        across_px = xp.linalg.vector_norm(joints_px - joints_px[..., ROOT : ROOT + 1, :], axis=-1)
+        across = xp.linalg.vector_norm(canonical[..., :2], axis=-1)
+        before_camera = in_front & (radius[..., None] + scale * pose[..., 2] > 0)
+        joints_m = camera_from_canonical(pose, scale[..., 0], radius, theta, phi)
+        valid = (
+            xp.all(xp.isfinite(canonical), axis=(-2, -1))
+            & (xp.isfinite(length) & (length > 0))
+            & (observed & known[..., ROOT])
+            & xp.any(used & (across_px > _SHORTEST_PX), axis=-1)
+            & xp.any(used & (across > _SHORTEST_ACROSS), axis=-1)
+            & ((radius > 0) & xp.all(before_camera | ~used, axis=-1))
+            & xp.all(xp.isfinite(joints_m), axis=(-2, -1))
+        )
+    batch = valid.shape
+    return GlobalPose(
+        joints_m=xp.where(valid[..., None, None], joints_m, xp.nan),
+        radius_m=xp.where(valid, radius, xp.nan),
+        theta=xp.broadcast_to(xp.where(known[..., ROOT], theta, xp.nan), batch),
+        phi=xp.broadcast_to(xp.where(known[..., ROOT], phi, xp.nan), batch),
+        key_bone=xp.broadcast_to(key_bone, batch),
+        valid=valid,
+    )
+
+
+def consistent_joints_px(
+    canonical: Array,
+    joints_px: Array,
+    camera: PinholeCamera,
+    hand_length_m: Array | float,
+    *,
+    weights: Array | None = None,
+) -> Array:
+    """2D joints that agree with the canonical pose: the pose placed by all joints, seen by the camera.
+
+    The paper replaces the 2D network's joints by these before it computes the range, but needs the range to compute
+    them; the least squares over all joints closes the circle. The key bone method on the result returns that range.
+
+    Args:
+        canonical, joints_px, camera, hand_length_m, weights: as `project_global`.
+
+    Returns:
+        (..., 21, 2) pixels of the camera's image, lens distortion included; NaN where the placement is not valid.
+
+    Source: paper section 4.3 ("we replace p"), SPEC 4 (mode `consistent`).
+    """
+    pose = project_global(canonical, joints_px, camera, hand_length_m, weights=weights)
+    return project(pose.joints_m, camera, distort=True)
+
+
+def canonical_xy_from_rays(rays: Array, distance: Array | float, z: Array) -> Array:
+    """2D joints brought into the canonical frame, with the depth of each taken as known: the target of L_proj.
+
+    Args:
+        rays: (..., 21, 3) through the 2D joints, camera frame, any length (`camera.unproject`).
+        distance: (...) or a number, r / L: distance of the root joint in hand lengths.
+        z: (..., 21) canonical depth of every joint.
+
+    Returns:
+        (..., 21, 2) canonical x and y, m_j (r / L + z_j); for the true 2D joints exactly those of the canonical pose.
+        NaN for joints whose ray is unknown or not in front of the centred camera.
+
+    Source: paper eq. "3d_loss", SPEC 4 (L_proj). One scale for the whole hand (weak perspective) would be wrong by a
+    third: r / L is about 3 and z reaches 1.
+    """
+    xp, rays, distance, z = float_arrays(rays, distance, z)
+    known, rays, _, _ = _centred_rays(xp, rays, "exact")
+    slopes, in_front = _slopes(xp, rays)
+    xy = slopes * (distance[..., None] + z)[..., None]
+    return xp.where((known & in_front & known[..., ROOT : ROOT + 1])[..., None], xy, xp.nan)
+
+
+def _rays(xp: Any, joints_px: Array, camera: PinholeCamera) -> Any:
+    """`unproject`, with clean gradients for the known pixels: unknown ones stay out of the lens model."""
+    finite = xp.all(xp.isfinite(joints_px), axis=-1)[..., None]
+    rays = unproject(xp.where(finite, joints_px, xp.zeros_like(joints_px) + camera.cx), camera)
+    return xp.where(finite, rays, xp.nan)
+
+
+def _centred_rays(xp: Any, rays: Array, angles: Angles) -> tuple[Any, Any, Any, Any]:
+    """Rays of the joints with the camera turned towards the root.
+
+    Returns:
+        known: (..., 21) bool, the ray is finite.
+        rays: (..., 21, 3) centred frame, any length; the stand-in of an unknown ray is the camera's axis.
+        theta, phi: (...) radians.
+    """
+    known = xp.all(xp.isfinite(rays), axis=-1)
+    axis = xp.stack([xp.zeros_like(rays[..., 0])] * 2 + [xp.ones_like(rays[..., 0])], axis=-1)
+    rays = xp.where(known[..., None], rays, axis)
+    theta, phi = (centring_angles if angles == "exact" else paper_angles)(rays[..., ROOT, :])
+    return known, rotate(rotation_from_angles(theta, phi), rays), theta, phi
+
+
+def _slopes(xp: Any, rays: Array) -> tuple[Any, Any]:
+    """Slopes m = (x / z, y / z) of rays (..., 21, 3), and which point forward at all."""
+    in_front = rays[..., 2] > 0
+    depth = xp.where(in_front, rays[..., 2], xp.ones_like(rays[..., 2]))
+    return rays[..., :2] / depth[..., None], in_front
+
+
+def _key_joint(xp: Any, joints_px: Array) -> tuple[Any, Any]:
+    """Index into KEY_BONES (...) of the bone that is seen longer, and its secondary joint as a mask (..., 21)."""
+    (wrist, root), (little, _) = KEY_BONES
+    across = xp.linalg.vector_norm(joints_px - joints_px[..., root : root + 1, :], axis=-1)
+    is_little = ~(across[..., wrist] > across[..., little])
+    joint = xp.arange(joints_px.shape[-2], device=joints_px.device)
+    mask = xp.where(is_little[..., None], joint == little, joint == wrist)
+    return xp.astype(is_little, xp.int64), mask
+
+
+def _keybone_radius(xp: Any, slopes: Array, pose: Array, scale: Array, key_joint: Array) -> Any:
+    """r = z_3d - L z_s with z_3d = z_2d h_3d / h_2d: similar triangles in the plane of the key bone (SPEC 5.3).
+
+    A slope is (h_2d / z_2d) long, so dividing by its length is the paper's z_2d / h_2d.
+    """
+    slope = xp.sum(xp.where(key_joint[..., None], slopes, 0.0), axis=-2)
+    joint = xp.sum(xp.where(key_joint[..., None], pose, 0.0), axis=-2) * scale
+    slope_length = xp.linalg.vector_norm(slope, axis=-1)
+    h_3d = xp.linalg.vector_norm(joint[..., :2], axis=-1)
+    return h_3d / xp.where(slope_length > 0, slope_length, 1.0) - joint[..., 2]
+
+
+def _least_squares_radius(xp: Any, slopes: Array, pose: Array, scale: Array, weight: Array) -> Any:
+    """The r that minimises sum_j w_j |m_j (r + L z_j) - L (x_j, y_j)|^2 (SPEC 4); the root itself has m = 0."""
+    joints = pose * scale[..., None]
+    along = xp.sum(slopes * (joints[..., :2] - slopes * joints[..., 2:]), axis=-1)  # (..., 21)
+    above = xp.sum(weight * along, axis=-1)
+    below = xp.sum(weight * xp.sum(slopes * slopes, axis=-1), axis=-1)
+    return above / xp.where(below > 0, below, 1.0)
+
+
+def _finite_or(xp: Any, values: Array, fallback: float) -> Any:
+    return xp.where(xp.isfinite(values), values, fallback)

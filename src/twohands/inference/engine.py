@@ -1,0 +1,99 @@
+"""The three networks as plain functions of arrays, run by OpenVINO.
+
+The estimator knows only `Networks`: three callables. A test, or another runtime, hands in its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from twohands.errors import CheckpointError
+from twohands.skeleton import N_JOINTS
+
+
+@dataclass(frozen=True, slots=True)
+class Networks:
+    """The learned parts of the pipeline; float32 arrays in and out, B any batch size.
+
+    Attributes:
+        hand_seg_net: (B, 3, h, w) -> seg_logits (B, 3, h', w') for background, left, right, and energy_logits
+            (B, 2, h', w') for left, right.
+        pose_net_2d: (B, 3, S, S) -> heatmaps (B, 21, M, M).
+        pose_net_3d: (B, 21, M, M) -> canonical joints (B, 21, 3) of a left-like hand.
+    """
+
+    hand_seg_net: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+    pose_net_2d: Callable[[np.ndarray], np.ndarray]
+    pose_net_3d: Callable[[np.ndarray], np.ndarray]
+
+
+class OpenVinoNetwork:
+    """One ONNX file, compiled for the CPU, called like a function.
+
+    The arithmetic is whatever the processor does best: bfloat16 where it has such units, else float32.
+
+    Args:
+        path: the ONNX file.
+        input_channels: the channel count that this role in the pipeline feeds.
+        output_channels: second dimension of each output that this role promises.
+
+    Raises:
+        CheckpointError: the file is missing, damaged, or holds a network for another role.
+    """
+
+    def __init__(self, path: Path, *, input_channels: int, output_channels: tuple[int, ...]) -> None:
+        import openvino
+
+        try:
+            model = openvino.Core().read_model(path)
+        except RuntimeError as error:
+            raise CheckpointError(f"{path}: not a readable ONNX network") from error
+        found_in = [_channels(port) for port in model.inputs]
+        found_out = [_channels(port) for port in model.outputs]
+        if found_in != [input_channels] or found_out != list(output_channels):
+            raise CheckpointError(
+                f"{path}: another network; expected {input_channels} channels in and {list(output_channels)} out, "
+                f"found {found_in} in and {found_out} out"
+            )
+        self._network = openvino.compile_model(model, "CPU", {"PERFORMANCE_HINT": "LATENCY"})
+
+    def __call__(self, batch: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Run the network.
+
+        Args:
+            batch: (B, C, H, W) float32.
+
+        Returns:
+            Every output, in the order of the file.
+        """
+        result = self._network([np.ascontiguousarray(batch, dtype=np.float32)])
+        return tuple(np.array(result[port]) for port in self._network.outputs)
+
+
+def load_networks(folder: Path) -> Networks:
+    """Compile the three networks of a preset's folder.
+
+    Raises:
+        CheckpointError: a file is missing, damaged, or holds another network.
+    """
+    seg = OpenVinoNetwork(folder / "hand_seg_net.onnx", input_channels=3, output_channels=(3, 2))
+    pose_2d = OpenVinoNetwork(folder / "pose_net_2d.onnx", input_channels=3, output_channels=(N_JOINTS,))
+    pose_3d = OpenVinoNetwork(folder / "pose_net_3d.onnx", input_channels=N_JOINTS, output_channels=(N_JOINTS,))
+
+    def hand_seg_net(batch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        seg_logits, energy_logits = seg(batch)
+        return seg_logits, energy_logits
+
+    return Networks(hand_seg_net, lambda batch: pose_2d(batch)[0], lambda batch: pose_3d(batch)[0])
+
+
+def _channels(port: object) -> int | None:
+    """Second dimension of a network's input or output; None where it is free or there is none."""
+    shape = port.get_partial_shape()  # type: ignore[attr-defined]
+    if shape.rank.is_dynamic or shape.rank.get_length() < 2 or shape[1].is_dynamic:
+        return None
+    return shape[1].get_length()

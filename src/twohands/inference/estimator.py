@@ -1,0 +1,230 @@
+"""The whole pipeline on one page: segment -> boxes -> crops -> 2D -> 3D -> camera space.
+
+Source: paper, figure 3 and section 4. Every stage can be replaced by ground truth (`StageTruth`); that is how each
+stage is studied alone and how the error budget is drawn up.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from twohands.errors import InputError
+from twohands.geometry.boxes import apply_homography, perspective_crop, square_crop
+from twohands.geometry.composition import compose_hand_input
+from twohands.geometry.projection import project_global
+from twohands.inference.engine import Networks, load_networks
+from twohands.inference.read_out import read_joints
+from twohands.inference.segmentation import (
+    HandBoxes,
+    boxes_from_energy,
+    letterbox,
+    masks_from_logits,
+    network_input,
+)
+from twohands.inference.weights import DEFAULT_PRESET, WeightsCard, preset_folder, read_card
+from twohands.skeleton import RIGHT
+from twohands.types import GlobalPose, HandCrop, HandPose, PinholeCamera, TwoHandPose
+
+DEFAULT_HAND_LENGTH_M = 0.10
+"""|wrist - middle knuckle| where none is given: the unit to which the paper scales its data (SPEC 1.1)."""
+KEY_BONE_NAMES = ("wrist", "little")
+METHOD = "all-joints"
+
+
+@dataclass(frozen=True, slots=True)
+class StageTruth:
+    """Ground truth that replaces what a stage would estimate; None leaves the stage alone. Axis order (LEFT, RIGHT).
+
+    Attributes:
+        masks: (H, W) uint8, 0 background, 1 left, 2 right.
+        boxes_px: (2, 4) tight boxes in pixels; NaN for an absent hand.
+        present: (2,) bool. A present hand still needs a box, true or estimated, to be found.
+        joints_px: (2, 21, 2) pixels.
+        heatmaps: (2, 21, M, M) maps of the crops that the pipeline cuts from its boxes.
+        canonical: (2, 21, 3) unitless canonical joints of the real, unmirrored hands.
+    """
+
+    masks: np.ndarray | None = None
+    boxes_px: np.ndarray | None = None
+    present: np.ndarray | None = None
+    joints_px: np.ndarray | None = None
+    heatmaps: np.ndarray | None = None
+    canonical: np.ndarray | None = None
+
+
+NO_TRUTH = StageTruth()
+
+
+class HandEstimator:
+    """Both hands in metres from one picture.
+
+    Args:
+        networks: the three networks as functions.
+        card: what they expect.
+    """
+
+    def __init__(self, networks: Networks, card: WeightsCard) -> None:
+        self.networks = networks
+        self.card = card
+
+    @classmethod
+    def from_preset(cls, preset: str | Path = DEFAULT_PRESET) -> HandEstimator:
+        """Load shipped weights by name, or a folder with the same layout.
+
+        Raises:
+            CheckpointError: the weights are missing, damaged, or of other networks.
+        """
+        folder = preset_folder(preset)
+        return cls(load_networks(folder), read_card(folder))
+
+    def estimate(
+        self,
+        image: np.ndarray,
+        camera: PinholeCamera,
+        hand_length_m: float = DEFAULT_HAND_LENGTH_M,
+        truth: StageTruth = NO_TRUTH,
+        *,
+        index: int = 0,
+        time_s: float | None = None,
+    ) -> TwoHandPose:
+        """Estimate both hands.
+
+        Args:
+            image: (H, W, 3) uint8 RGB.
+            camera: intrinsics at this image size.
+            hand_length_m: |wrist - middle knuckle| of these hands, metres. All lengths scale with it.
+            truth: ground truth that replaces stages.
+            index, time_s: position in the source, handed through.
+
+        Returns:
+            Both hands; an absent hand has `present` False.
+
+        Raises:
+            InputError: image, camera and hand length do not fit together.
+        """
+        _check(image, camera, hand_length_m)
+        masks, boxes = self.segment(image, truth)
+        sides = [int(side) for side in np.flatnonzero(boxes.present)]
+        hands = [HandPose(present=False), HandPose(present=False)]
+        if sides:
+            crops = [self.crop(image, masks, boxes.boxes_px[side], side, camera) for side in sides]
+            heatmaps = self.locate(crops, truth)
+            joints_px, joint_scores = self.read_out(heatmaps, crops, truth)
+            canonical = self.lift(heatmaps, crops, truth)
+            pose = project_global(canonical, joints_px, camera, hand_length_m, method=METHOD)
+            for i, side in enumerate(sides):
+                hands[side] = _hand_pose(boxes, side, joints_px[i], joint_scores[i], canonical[i], pose, i)
+        return TwoHandPose(hands[0], hands[1], camera, masks, index, time_s)
+
+    def segment(self, image: np.ndarray, truth: StageTruth = NO_TRUTH) -> tuple[np.ndarray, HandBoxes]:
+        """Stage 1, HandSegNet: whose pixel is it, where are the hands, are they there.
+
+        Returns:
+            (H, W) masks 0 background, 1 left, 2 right; and the boxes.
+        """
+        size = image.shape[:2]
+        masks, boxes = truth.masks, _true_boxes(truth)
+        if masks is None or boxes is None:
+            canvas, place = letterbox(image, self.card.seg_input_size)
+            seg_logits, energy_logits = self.networks.hand_seg_net(network_input(canvas[None]))
+            if masks is None:
+                masks = masks_from_logits(place.content(seg_logits[0]), size)
+            if boxes is None:
+                energies = 1.0 / (1.0 + np.exp(-place.content(energy_logits[0])))
+                boxes = boxes_from_energy(energies, size, present=truth.present)
+        return masks, boxes
+
+    def crop(
+        self, image: np.ndarray, masks: np.ndarray, box_px: np.ndarray, side: int, camera: PinholeCamera
+    ) -> HandCrop:
+        """Stage 2: the hand's square picture; background black, the other hand dimmed, a right hand mirrored."""
+        size, margin = self.card.crop_size, self.card.crop_margin
+        if self.card.crop_kind == "perspective":
+            image_from_crop = perspective_crop(box_px, camera, size=size, side=side, margin=margin)
+        else:
+            image_from_crop = square_crop(box_px, size=size, side=side, margin=margin)
+        composed = compose_hand_input(image, masks, image_from_crop, side, size)
+        return HandCrop(composed, image_from_crop, side, mirrored=side == RIGHT)
+
+    def locate(self, crops: list[HandCrop], truth: StageTruth = NO_TRUTH) -> np.ndarray:
+        """Stage 3, PoseNet2D: both hands in one batch -> heatmaps (B, 21, M, M)."""
+        if truth.heatmaps is not None:
+            return truth.heatmaps[[crop.side for crop in crops]]
+        return self.networks.pose_net_2d(network_input(np.stack([crop.image for crop in crops])))
+
+    def read_out(
+        self, heatmaps: np.ndarray, crops: list[HandCrop], truth: StageTruth = NO_TRUTH
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Heatmaps -> joints (B, 21, 2) in pixels of the picture, un-mirrored, and scores (B, 21)."""
+        cells, scores = read_joints(heatmaps, self.card.heatmap_decode)
+        crop_px = cells * (self.card.crop_size / heatmaps.shape[-1])
+        joints_px = apply_homography(np.stack([crop.image_from_crop for crop in crops]), crop_px)
+        if truth.joints_px is not None:
+            joints_px = truth.joints_px[[crop.side for crop in crops]]
+        return joints_px, scores
+
+    def lift(self, heatmaps: np.ndarray, crops: list[HandCrop], truth: StageTruth = NO_TRUTH) -> np.ndarray:
+        """Stage 4, PoseNet3D: heatmaps -> canonical joints (B, 21, 3) of the real, unmirrored hands."""
+        if truth.canonical is not None:
+            return truth.canonical[[crop.side for crop in crops]]
+        unmirror = np.array([[-1.0 if crop.mirrored else 1.0, 1.0, 1.0] for crop in crops])
+        return self.networks.pose_net_3d(heatmaps).astype(np.float64) * unmirror[:, None, :]
+
+
+def _check(image: np.ndarray, camera: PinholeCamera, hand_length_m: float) -> None:
+    """Refuse what cannot be computed with; messages name what was found."""
+    if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
+        raise InputError(f"image: (H, W, 3) uint8 RGB expected, got {image.shape} {image.dtype}")
+    if (camera.height, camera.width) != image.shape[:2]:
+        raise InputError(
+            f"camera is for {camera.width}x{camera.height} but the image has {image.shape[1]}x{image.shape[0]} pixels; "
+            "use camera.resized(width, height)"
+        )
+    if not (math.isfinite(hand_length_m) and hand_length_m > 0):
+        raise InputError(f"hand length must be a positive number of metres, got {hand_length_m}")
+
+
+def _true_boxes(truth: StageTruth) -> HandBoxes | None:
+    """Boxes given by ground truth; a hand is present where its box is finite, unless `truth.present` denies it."""
+    if truth.boxes_px is None:
+        return None
+    known = np.asarray(np.isfinite(truth.boxes_px).all(axis=1))
+    present = known if truth.present is None else np.logical_and(known, truth.present)
+    return HandBoxes(np.asarray(truth.boxes_px, np.float64), present, np.where(present, 1.0, 0.0))
+
+
+def _hand_pose(
+    boxes: HandBoxes,
+    side: int,
+    joints_px: np.ndarray,
+    joint_scores: np.ndarray,
+    canonical: np.ndarray,
+    pose: GlobalPose,
+    i: int,
+) -> HandPose:
+    """Gather one hand's results; row i of the batch is this side."""
+    valid = bool(pose.valid[i])
+    return HandPose(
+        present=True,
+        score=float(boxes.scores[side]),
+        box_px=boxes.boxes_px[side],
+        joints_px=joints_px,
+        joint_scores=joint_scores,
+        canonical=canonical,
+        joints_m=np.asarray(pose.joints_m[i]) if valid else None,
+        range_m=float(pose.radius_m[i]) if valid else None,
+        theta_deg=_degrees(pose.theta[i]),
+        phi_deg=_degrees(pose.phi[i]),
+        key_bone=KEY_BONE_NAMES[int(pose.key_bone[i])],
+        method=METHOD,
+        valid=valid,
+    )
+
+
+def _degrees(angle: float) -> float | None:
+    """Radians in degrees; None where unknown."""
+    return math.degrees(angle) if math.isfinite(angle) else None

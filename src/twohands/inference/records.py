@@ -1,0 +1,131 @@
+"""hands.json, version 1: results as plain JSON, and back.
+
+Layout::
+
+    {"version": 1, "source": ..., "weights": ..., "frames": [
+        {"index": 0, "time_s": null,
+         "camera": {"fx", "fy", "cx", "cy", "width", "height"},
+         "hands": {"left": H, "right": H}}]}
+
+    H = {"present", "score", "box_px": [u0, v0, u1, v1], "joints_px": [21][2], "joint_scores": [21],
+         "canonical": [21][3], "joints_m": [21][3], "range_m", "theta_deg", "phi_deg", "key_bone", "method", "valid"}
+
+An absent hand has `present` false and null elsewhere. Where `valid` is false, `joints_m` and `range_m` are null. A
+camera with lens distortion carries the further key `distortion`. Numbers are rounded to DECIMALS; JSON has no NaN, so
+NaN is null.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from twohands.errors import DataFormatError, TwoHandsError
+from twohands.skeleton import N_JOINTS
+from twohands.types import HandPose, PinholeCamera, TwoHandPose
+
+VERSION = 1
+DECIMALS = 6
+"""A micrometre, a millionth of a pixel: below anything a measurement can tell."""
+
+_SHAPES: dict[str, tuple[int, ...]] = {
+    "box_px": (4,),
+    "joints_px": (N_JOINTS, 2),
+    "joint_scores": (N_JOINTS,),
+    "canonical": (N_JOINTS, 3),
+    "joints_m": (N_JOINTS, 3),
+}
+
+
+def to_dict(poses: Sequence[TwoHandPose], *, source: str, weights: str) -> dict[str, Any]:
+    """Results as a JSON-ready dictionary.
+
+    Args:
+        poses: one per frame.
+        source: the file or folder they come from.
+        weights: name of the weights.
+    """
+    return {
+        "version": VERSION,
+        "source": source,
+        "weights": weights,
+        "frames": [
+            {
+                "index": pose.index,
+                "time_s": _number(pose.time_s),
+                "camera": _camera_to_dict(pose.camera),
+                "hands": {"left": _hand_to_dict(pose.left), "right": _hand_to_dict(pose.right)},
+            }
+            for pose in poses
+        ],
+    }
+
+
+def from_dict(record: dict[str, Any]) -> list[TwoHandPose]:
+    """Read results back; masks are not part of the record.
+
+    Raises:
+        DataFormatError: another version, or a key that is missing or holds something else.
+    """
+    if not isinstance(record, dict) or record.get("version") != VERSION:
+        found = record.get("version") if isinstance(record, dict) else type(record).__name__
+        raise DataFormatError(f"hands.json: version {VERSION} expected, found {found!r}")
+    try:
+        return [
+            TwoHandPose(
+                left=_hand_from_dict(frame["hands"]["left"]),
+                right=_hand_from_dict(frame["hands"]["right"]),
+                camera=_camera_from_dict(frame["camera"]),
+                index=int(frame["index"]),
+                time_s=frame["time_s"],
+            )
+            for frame in record["frames"]
+        ]
+    except KeyError as error:
+        raise DataFormatError(f"hands.json: key {error} is missing") from error
+    except (TypeError, ValueError, TwoHandsError) as error:
+        raise DataFormatError(f"hands.json: {error}") from error
+
+
+def _camera_to_dict(camera: PinholeCamera) -> dict[str, Any]:
+    record: dict[str, Any] = {name: getattr(camera, name) for name in ("fx", "fy", "cx", "cy", "width", "height")}
+    if camera.distortion:
+        record["distortion"] = list(camera.distortion)
+    return record
+
+
+def _camera_from_dict(record: dict[str, Any]) -> PinholeCamera:
+    intrinsics = (record[name] for name in ("fx", "fy", "cx", "cy", "width", "height"))
+    return PinholeCamera(*intrinsics, distortion=tuple(record.get("distortion", ())))
+
+
+def _hand_to_dict(hand: HandPose) -> dict[str, Any]:
+    return {f.name: _plain(getattr(hand, f.name)) for f in fields(HandPose)}
+
+
+def _hand_from_dict(record: dict[str, Any]) -> HandPose:
+    values = {f.name: record[f.name] for f in fields(HandPose)}
+    for name, shape in _SHAPES.items():
+        if values[name] is not None:
+            values[name] = np.array(values[name], np.float64)  # null inside an array becomes NaN
+            if values[name].shape != shape:
+                raise ValueError(f"{name} must have shape {shape}, found {values[name].shape}")
+    return HandPose(**values)
+
+
+def _plain(value: Any) -> Any:
+    """A field of HandPose as JSON knows it."""
+    if isinstance(value, np.ndarray):
+        return [_plain(item) for item in value.tolist()]
+    if isinstance(value, list):
+        return [_plain(item) for item in value]
+    return _number(value) if isinstance(value, float) else value
+
+
+def _number(value: float | None) -> float | None:
+    """Rounded; None where there is no finite number."""
+    return round(value, DECIMALS) if value is not None and math.isfinite(value) else None

@@ -1,0 +1,181 @@
+"""From HandSegNet's maps to masks, boxes and the decision whether a hand is there.
+
+Source: paper section 4.1; SPEC 2 for what the paper leaves open.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+PRESENCE_THRESHOLD = 0.5
+"""A hand is absent where its energy peaks below this: half way between the target peaks 0 and 1.
+
+The paper says "very low activation" and gives no value (SPEC 2).
+"""
+OPENING_SIZE = 5
+"""Side of the opening's kernel on a map of REFERENCE_WIDTH; smaller maps take a smaller kernel."""
+REFERENCE_WIDTH = 512
+GREY = 128
+"""Letterbox filling: zero after normalisation, which is what the convolutions see beyond a picture's border."""
+
+
+@dataclass(frozen=True, slots=True)
+class Letterbox:
+    """Where a picture lies inside a network's input of another aspect ratio.
+
+    Attributes:
+        top, left, height, width: the picture's rectangle as fractions of the input's height and width.
+    """
+
+    top: float
+    left: float
+    height: float
+    width: float
+
+    def content(self, maps: np.ndarray) -> np.ndarray:
+        """The part of (..., h, w) maps of any resolution that shows the picture; a view."""
+        rows, columns = maps.shape[-2:]
+        top, left = round(self.top * rows), round(self.left * columns)
+        bottom, right = round((self.top + self.height) * rows), round((self.left + self.width) * columns)
+        return maps[..., top:bottom, left:right]
+
+
+@dataclass(frozen=True, slots=True)
+class HandBoxes:
+    """Detection of both hands.
+
+    Attributes:
+        boxes_px: (2, 4) u0, v0, u1, v1 in pixels of the picture; NaN for an absent hand.
+        present: (2,) bool.
+        scores: (2,) peak of each energy map, 0..1.
+    """
+
+    boxes_px: np.ndarray
+    present: np.ndarray
+    scores: np.ndarray
+
+
+def letterbox(image: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, Letterbox]:
+    """Fit a picture into a network's input without stretching it.
+
+    A picture of the input's own aspect ratio fills it; any other is centred on grey, so that hands keep the shape
+    that the network has learned.
+
+    Args:
+        image: (H, W, 3) uint8.
+        size: (height, width) of the network's input.
+
+    Returns:
+        (height, width, 3) uint8, and where the picture lies in it.
+    """
+    height, width = size
+    scale = min(height / image.shape[0], width / image.shape[1])
+    rows = min(height, max(1, round(image.shape[0] * scale)))
+    columns = min(width, max(1, round(image.shape[1] * scale)))
+    interpolation = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
+    top, left = (height - rows) // 2, (width - columns) // 2
+    canvas = np.full((height, width, 3), GREY, np.uint8)
+    canvas[top : top + rows, left : left + columns] = cv2.resize(image, (columns, rows), interpolation=interpolation)
+    return canvas, Letterbox(top / height, left / width, rows / height, columns / width)
+
+
+def network_input(images: np.ndarray) -> np.ndarray:
+    """Normalise pictures for a network.
+
+    Args:
+        images: (B, H, W, 3) uint8.
+
+    Returns:
+        (B, 3, H, W) float32, (value - 128) / 256; black is -0.5 (SPEC 2).
+    """
+    return np.ascontiguousarray(((images.astype(np.float32) - 128.0) / 256.0).transpose(0, 3, 1, 2))
+
+
+def masks_from_logits(logits: np.ndarray, image_size: tuple[int, int]) -> np.ndarray:
+    """Per-pixel class at full resolution.
+
+    The logits are enlarged before the decision, which keeps outlines smooth.
+
+    Args:
+        logits: (3, h, w) for background, left, right.
+        image_size: (H, W) of the picture.
+
+    Returns:
+        (H, W) uint8, 0 background, 1 left, 2 right.
+    """
+    height, width = image_size
+    enlarged = [cv2.resize(np.ascontiguousarray(m, np.float32), (width, height)) for m in logits]
+    return np.argmax(enlarged, axis=0).astype(np.uint8)
+
+
+def otsu_threshold(energy: np.ndarray) -> float:
+    """Otsu's threshold of an energy map, over a 256-bin histogram on [0, 1].
+
+    Args:
+        energy: (h, w), 0..1.
+
+    Returns:
+        The threshold t, 0..1; the foreground is energy > t.
+
+    Source: paper section 4.1; Otsu 1979.
+    """
+    level, _ = cv2.threshold(_grey_levels(energy), 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
+    return level / 255.0
+
+
+def energy_box(energy: np.ndarray) -> np.ndarray | None:
+    """Box of one hand: Otsu's threshold, opening, the largest component, its bounding box.
+
+    Args:
+        energy: (h, w), 0..1.
+
+    Returns:
+        (4,) float64 u0, v0, u1, v1 in map cells ((0, 0) the outer corner), or None where nothing is left.
+
+    Source: paper section 4.1. The opening and the choice of the largest component are ours (SPEC 2): a second blob,
+    usually the other hand's, would stretch the box over both.
+    """
+    threshold = round(otsu_threshold(energy) * 255)
+    mask = (_grey_levels(energy) > threshold).astype(np.uint8)
+    side = 2 * round((OPENING_SIZE * energy.shape[1] / REFERENCE_WIDTH - 1) / 2) + 1
+    if side > 1:
+        mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((side, side), np.uint8))
+    count, _, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
+    if count < 2:
+        return None
+    left, top, width, height, _ = stats[1 + np.argmax(stats[1:, cv2.CC_STAT_AREA])]
+    return np.array([left, top, left + width, top + height], np.float64)
+
+
+def boxes_from_energy(
+    energies: np.ndarray, image_size: tuple[int, int], present: np.ndarray | None = None
+) -> HandBoxes:
+    """Find both hands.
+
+    Args:
+        energies: (2, h, w) for LEFT and RIGHT, 0..1, covering the whole picture.
+        image_size: (H, W) of the picture.
+        present: (2,) bool, the known answer; None to decide by PRESENCE_THRESHOLD.
+
+    Returns:
+        Boxes in pixels of the picture. A hand is absent where its energy stays below PRESENCE_THRESHOLD or nothing
+        survives the opening.
+    """
+    cell_px = np.array([image_size[1] / energies.shape[2], image_size[0] / energies.shape[1]] * 2)
+    scores = energies.max(axis=(1, 2)).astype(np.float64)
+    expected = scores >= PRESENCE_THRESHOLD if present is None else present
+    boxes_px = np.full((2, 4), np.nan)
+    for side, energy in enumerate(energies):
+        box = energy_box(energy) if expected[side] else None
+        if box is not None:
+            boxes_px[side] = box * cell_px
+    found = np.asarray(np.isfinite(boxes_px).all(axis=1))
+    return HandBoxes(boxes_px, found, scores)
+
+
+def _grey_levels(energy: np.ndarray) -> np.ndarray:
+    """(h, w) energies 0..1 as uint8 levels."""
+    return np.clip(np.rint(energy * 255.0), 0, 255).astype(np.uint8)

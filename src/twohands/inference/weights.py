@@ -1,0 +1,139 @@
+"""Shipped weights: one folder per preset, with three ONNX networks and a card that says how to use them.
+
+A preset is a folder::
+
+    <preset>/hand_seg_net.onnx   (B, 3, h, w) -> seg_logits (B, 3, h', w'), energy_logits (B, 2, h', w')
+             pose_net_2d.onnx    (B, 3, S, S) -> heatmaps (B, 21, M, M), as the third network takes them
+             pose_net_3d.onnx    (B, 21, M, M) -> canonical (B, 21, 3), left-like hand
+             card.json
+
+The card holds what inference must know; every other key (recipe, seed, accuracy, ...) is for the reader::
+
+    {
+      "version": 1,
+      "name": "slim",
+      "hand_seg_net": {"input_size": [272, 480]},
+      "pose_net_2d": {"crop_size": 128, "crop_kind": "perspective", "crop_margin": 1.5, "heatmap_decode": "softargmax"}
+    }
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from twohands.errors import CheckpointError
+
+DEFAULT_PRESET = "slim"
+CARD_VERSION = 1
+NETWORK_NAMES = ("hand_seg_net", "pose_net_2d", "pose_net_3d")
+CROP_KINDS = ("square", "perspective")
+HEATMAP_DECODERS = ("subpixel", "softargmax")
+
+
+@dataclass(frozen=True, slots=True)
+class WeightsCard:
+    """What inference must know about one set of weights.
+
+    Attributes:
+        name: the preset's name, written into results.
+        seg_input_size: (height, width) of HandSegNet's input in pixels.
+        crop_size: side of the square PoseNet2D input in pixels.
+        crop_kind: "square" (the paper's crop) or "perspective" (a virtual camera looking at the hand).
+        crop_margin: crop side over the larger side of the hand's box.
+        heatmap_decode: "subpixel" for maps with linear output, "softargmax" for probability maps.
+    """
+
+    name: str
+    seg_input_size: tuple[int, int]
+    crop_size: int
+    crop_kind: str
+    crop_margin: float
+    heatmap_decode: str
+
+    def __post_init__(self) -> None:
+        if len(self.seg_input_size) != 2 or min(self.seg_input_size) < 1:
+            raise CheckpointError(f"card: hand_seg_net.input_size must be [height, width], got {self.seg_input_size}")
+        if self.crop_size < 1:
+            raise CheckpointError(f"card: pose_net_2d.crop_size must be positive, got {self.crop_size}")
+        if self.crop_kind not in CROP_KINDS:
+            raise CheckpointError(f"card: pose_net_2d.crop_kind must be one of {CROP_KINDS}, got {self.crop_kind!r}")
+        if not self.crop_margin > 0:
+            raise CheckpointError(f"card: pose_net_2d.crop_margin must be positive, got {self.crop_margin}")
+        if self.heatmap_decode not in HEATMAP_DECODERS:
+            raise CheckpointError(
+                f"card: pose_net_2d.heatmap_decode must be one of {HEATMAP_DECODERS}, got {self.heatmap_decode!r}"
+            )
+
+    @classmethod
+    def from_dict(cls, card: dict[str, Any]) -> WeightsCard:
+        """Read the keys that inference needs.
+
+        Raises:
+            CheckpointError: a key is missing or holds something else.
+        """
+        version = card.get("version")
+        if version != CARD_VERSION:
+            raise CheckpointError(f"card: version {CARD_VERSION} expected, found {version!r}; update twohands")
+        try:
+            seg, pose = card["hand_seg_net"], card["pose_net_2d"]
+            height, width = (int(n) for n in seg["input_size"])
+            return cls(
+                name=str(card["name"]),
+                seg_input_size=(height, width),
+                crop_size=int(pose["crop_size"]),
+                crop_kind=str(pose["crop_kind"]),
+                crop_margin=float(pose["crop_margin"]),
+                heatmap_decode=str(pose["heatmap_decode"]),
+            )
+        except KeyError as error:
+            raise CheckpointError(f"card: key {error} is missing") from error
+        except (TypeError, ValueError) as error:
+            raise CheckpointError(f"card: {error}") from error
+
+
+def preset_names() -> list[str]:
+    """Names of the presets that ship with the package, sorted."""
+    root = resources.files("twohands") / "weights"
+    if not root.is_dir():
+        return []
+    return sorted(entry.name for entry in root.iterdir() if (entry / "card.json").is_file())
+
+
+def preset_folder(preset: str | Path) -> Path:
+    """Find a preset by its name, or take a folder as it is.
+
+    Args:
+        preset: name of a shipped preset, or path of a folder with the same layout.
+
+    Raises:
+        CheckpointError: there is neither.
+    """
+    shipped = Path(str(resources.files("twohands") / "weights" / str(preset)))
+    for folder in (shipped, Path(preset)):
+        if (folder / "card.json").is_file():
+            return folder
+    known = ", ".join(preset_names()) or "none"
+    raise CheckpointError(f"weights '{preset}' not found: neither a folder with a card.json nor a preset ({known})")
+
+
+def read_card(folder: Path) -> WeightsCard:
+    """Read `card.json` of a preset's folder.
+
+    Raises:
+        CheckpointError: the card cannot be read, or a network's file is missing.
+    """
+    path = folder / "card.json"
+    try:
+        card = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise CheckpointError(f"{path}: not a readable card: {error}") from error
+    if not isinstance(card, dict):
+        raise CheckpointError(f"{path}: a JSON object expected, found {type(card).__name__}")
+    missing = [name for name in NETWORK_NAMES if not (folder / f"{name}.onnx").is_file()]
+    if missing:
+        raise CheckpointError(f"{folder}: {missing[0]}.onnx is missing; the folder must hold all three networks")
+    return WeightsCard.from_dict(card)

@@ -1,0 +1,117 @@
+"""Residual blocks that the three networks are made of."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+
+def scaled(channels: int, width: float) -> int:
+    """`channels` times `width`, rounded to a multiple of 8 (vector units work on 8 or 16 channels), at least 8."""
+    return max(8, 8 * round(channels * width / 8))
+
+
+def conv_bn_relu(
+    inputs: int, outputs: int, kernel: int, *, stride: int = 1, batch_norm: bool = True, relu: bool = True
+) -> nn.Sequential:
+    """Convolution with "same" padding, then batch normalisation and ReLU; the bias goes where no BN follows."""
+    layers: list[nn.Module] = [nn.Conv2d(inputs, outputs, kernel, stride, kernel // 2, bias=not batch_norm)]
+    if batch_norm:
+        layers.append(nn.BatchNorm2d(outputs))
+    if relu:
+        layers.append(nn.ReLU(inplace=True))
+    return nn.Sequential(*layers)
+
+
+class ResidualBlock(nn.Module):
+    """relu(branch(x) + shortcut(x)); the base of every block, so that blocks can be counted."""
+
+    branch: nn.Module
+    shortcut: nn.Module
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B, C, H, W) -> (B, C', H', W')."""
+        return torch.relu(self.branch(x) + self.shortcut(x))
+
+
+class BasicBlock(ResidualBlock):
+    """Two 3x3 convolutions, the block of ResNet-18.
+
+    Args:
+        inputs: channels in.
+        outputs: channels out.
+        stride: 1, or 2 to halve the map.
+    """
+
+    def __init__(self, inputs: int, outputs: int, stride: int = 1) -> None:
+        super().__init__()
+        self.branch = nn.Sequential(
+            conv_bn_relu(inputs, outputs, 3, stride=stride), conv_bn_relu(outputs, outputs, 3, relu=False)
+        )
+        self.shortcut = nn.Identity()
+        if stride != 1 or inputs != outputs:
+            self.shortcut = conv_bn_relu(inputs, outputs, 1, stride=stride, relu=False)
+
+
+class Bottleneck(ResidualBlock):
+    """1x1, 3x3, 1x1 convolutions; `planes` channels inside, 4 x `planes` out.
+
+    Source: SPEC 2, the encoder of the ResNet auto-encoder.
+    """
+
+    expansion = 4
+
+    def __init__(self, inputs: int, planes: int, stride: int = 1) -> None:
+        super().__init__()
+        outputs = planes * self.expansion
+        self.branch = nn.Sequential(
+            conv_bn_relu(inputs, planes, 1),
+            conv_bn_relu(planes, planes, 3, stride=stride),
+            conv_bn_relu(planes, outputs, 1, relu=False),
+        )
+        self.shortcut = nn.Identity()
+        if stride != 1 or inputs != outputs:
+            self.shortcut = conv_bn_relu(inputs, outputs, 1, stride=stride, relu=False)
+
+
+class DeconvBottleneck(ResidualBlock):
+    """Bottleneck whose middle layer is a transposed 3x3 convolution when it doubles the map; 2 x `planes` out.
+
+    Source: SPEC 2, the decoder of the ResNet auto-encoder.
+    """
+
+    expansion = 2
+
+    def __init__(self, inputs: int, planes: int, stride: int = 1) -> None:
+        super().__init__()
+        outputs = planes * self.expansion
+        middle = conv_bn_relu(planes, planes, 3)
+        self.shortcut = nn.Identity()
+        if stride == 2:
+            middle = nn.Sequential(
+                nn.ConvTranspose2d(planes, planes, 3, stride=2, padding=1, output_padding=1, bias=False),
+                nn.BatchNorm2d(planes),
+                nn.ReLU(inplace=True),
+            )
+            self.shortcut = nn.Sequential(
+                nn.ConvTranspose2d(inputs, outputs, 1, stride=2, output_padding=1, bias=False), nn.BatchNorm2d(outputs)
+            )
+        elif inputs != outputs:
+            self.shortcut = conv_bn_relu(inputs, outputs, 1, relu=False)
+        self.branch = nn.Sequential(
+            conv_bn_relu(inputs, planes, 1), middle, conv_bn_relu(planes, outputs, 1, relu=False)
+        )
+
+
+def count_blocks(module: nn.Module) -> int:
+    """Number of residual blocks inside a network, the paper's measure of depth."""
+    return sum(isinstance(child, ResidualBlock) for child in module.modules())
+
+
+def initialise(module: nn.Module) -> None:
+    """Kaiming initialisation of every convolution and fully connected layer (SPEC 4, 9), zero biases."""
+    for child in module.modules():
+        if isinstance(child, nn.Conv2d | nn.ConvTranspose2d | nn.Linear):
+            nn.init.kaiming_normal_(child.weight, nonlinearity="relu")
+            if child.bias is not None:
+                nn.init.zeros_(child.bias)

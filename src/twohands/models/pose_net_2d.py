@@ -1,0 +1,191 @@
+"""PoseNet2D: from a crop of one hand to 21 heatmaps (SPEC 3)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor, nn
+
+from twohands.errors import InputError
+from twohands.models.blocks import BasicBlock, conv_bn_relu, initialise, scaled
+from twohands.skeleton import N_JOINTS
+
+MAP_SIZE = 32
+"""Rows and columns of every heatmap."""
+
+
+@dataclass(frozen=True)
+class PoseNet2DConfig:
+    """Shape of PoseNet2D."""
+
+    variant: Literal["cpm9", "vgg", "encoder-decoder"] = "cpm9"
+    """cpm9: convolutional pose machine with 9x9 convolutions (the paper's); vgg: pose machine on 3x3 convolutions;
+    encoder-decoder: slim residual U-shape (ours)."""
+    crop_size: int = 256
+    """Rows and columns of the input crop, 256 for the pose machines, 128 for the encoder-decoder."""
+    stages: int = 6
+    """Stages of the pose machine; the encoder-decoder has one."""
+    width: float = 1.0
+    """Multiplier of all channel numbers; 1 is the paper's size."""
+    batch_norm: bool = True
+    """Batch normalisation after every convolution but the stage outputs (pose machines only)."""
+    activation: Literal["linear", "softmax"] = "linear"
+    """What the maps are: linear values trained with MSE, or logits of a distribution over the cells."""
+    sigma: float = 2.0
+    """Standard deviation of the target Gaussian at the root's depth, in cells."""
+
+    def __post_init__(self) -> None:
+        if self.variant not in ("cpm9", "vgg", "encoder-decoder"):
+            raise InputError(f"pose_net_2d: unknown variant {self.variant!r}; cpm9, vgg or encoder-decoder")
+        if self.activation not in ("linear", "softmax"):
+            raise InputError(f"pose_net_2d: unknown activation {self.activation!r}; linear or softmax")
+        expected = MAP_SIZE * (4 if self.variant == "encoder-decoder" else 8)
+        if self.crop_size != expected:
+            raise InputError(f"pose_net_2d: {self.variant} needs crop_size {expected}, got {self.crop_size}")
+        if self.stages < 1 or (self.variant == "encoder-decoder" and self.stages != 1):
+            raise InputError(f"pose_net_2d: {self.variant} cannot have {self.stages} stages")
+        if self.width <= 0 or self.sigma <= 0:
+            raise InputError(f"pose_net_2d: width and sigma must be positive, got {self.width} and {self.sigma}")
+
+
+class PoseMachine(nn.Module):
+    """Convolutional pose machine with batch normalisation, in the 9x9 and the VGG-style form.
+
+    No centre map: a hand crop is always centred, so it would be a constant (SPEC 3).
+
+    Source: paper section 4.2, SPEC 3.
+    """
+
+    def __init__(self, config: PoseNet2DConfig) -> None:
+        super().__init__()
+        bn = config.batch_norm
+        c32, c128, c512 = (scaled(c, config.width) for c in (32, 128, 512))
+
+        def pool() -> nn.Module:
+            return nn.MaxPool2d(3, stride=2, padding=1)
+
+        def conv(inputs: int, outputs: int, kernel: int) -> nn.Sequential:
+            return conv_bn_relu(inputs, outputs, kernel, batch_norm=bn)
+
+        def features9() -> list[nn.Module]:
+            return [conv(3, c128, 9), pool(), conv(c128, c128, 9), pool(), conv(c128, c128, 9), pool()]
+
+        self.shared: nn.Module
+        if config.variant == "cpm9":
+            self.shared = nn.Sequential(*features9(), conv(c128, c32, 5)) if config.stages > 1 else nn.Identity()
+            first = [*features9(), conv(c128, c32, 5), conv(c32, c512, 9), conv(c512, c512, 1)]
+            hidden, context = c512, c32
+        else:
+            layers: list[nn.Module] = []
+            channels = 3
+            for outputs, repeats in ((64, 2), (128, 2), (256, 4)):
+                for _ in range(repeats):
+                    layers.append(conv(channels, scaled(outputs, config.width), 3))
+                    channels = scaled(outputs, config.width)
+                layers.append(pool())
+            for outputs in (512, 512, 256, 256, 256, 256, 128):
+                layers.append(conv(channels, scaled(outputs, config.width), 3))
+                channels = scaled(outputs, config.width)
+            self.shared = nn.Sequential(*layers)
+            first = [conv(c128, c512, 1)]
+            hidden, context = c512, c128
+        self.variant = config.variant
+        self.first = nn.Sequential(*first, nn.Conv2d(hidden, N_JOINTS, 1))
+
+        self.refine = nn.ModuleList()
+        for _ in range(config.stages - 1):
+            kernel, repeats = (11, 3) if config.variant == "cpm9" else (7, 5)
+            convs = [conv(context + N_JOINTS if i == 0 else c128, c128, kernel) for i in range(repeats)]
+            self.refine.append(nn.Sequential(*convs, conv(c128, c128, 1), nn.Conv2d(c128, N_JOINTS, 1)))
+
+    def forward(self, x: Tensor) -> list[Tensor]:
+        """(B, 3, 256, 256) -> one (B, 21, 32, 32) per stage."""
+        if self.variant == "cpm9":
+            features = self.shared(x) if len(self.refine) else x
+            outputs = [self.first(x)]
+        else:
+            features = self.shared(x)  # (B, 128, 32, 32)
+            outputs = [self.first(features)]
+        for stage in self.refine:
+            outputs.append(stage(torch.cat([features, outputs[-1]], dim=1)))
+        return outputs
+
+
+class EncoderDecoder(nn.Module):
+    """Residual encoder from 32x32 down to 4x4 and decoder back, joined by skips. Ours; the paper has no such network.
+
+    It sees the whole hand at its bottom, so it needs one stage where the pose machine needs several (DESIGN 8).
+    """
+
+    def __init__(self, config: PoseNet2DConfig) -> None:
+        super().__init__()
+        c0, c1, c2, c3, c4 = (scaled(c, config.width) for c in (32, 64, 128, 192, 256))
+        self.stem = nn.Sequential(conv_bn_relu(3, c0, 5, stride=2), conv_bn_relu(c0, c1, 3, stride=2))
+        sizes = (c1, c2, c3, c4)  # at 32, 16, 8 and 4 cells
+        self.down = nn.ModuleList([nn.Sequential(BasicBlock(c1, c1), BasicBlock(c1, c1))])
+        for inputs, outputs in zip(sizes, sizes[1:], strict=False):
+            self.down.append(nn.Sequential(BasicBlock(inputs, outputs, 2), BasicBlock(outputs, outputs)))
+        self.lateral, self.up = nn.ModuleList(), nn.ModuleList()
+        for inputs, outputs in zip(sizes[:0:-1], sizes[-2::-1], strict=True):
+            self.lateral.append(conv_bn_relu(inputs, outputs, 1, relu=False))
+            self.up.append(BasicBlock(outputs, outputs))
+        self.head = nn.Sequential(BasicBlock(c1, c1), nn.Conv2d(c1, N_JOINTS, 1))
+
+    def forward(self, x: Tensor) -> list[Tensor]:
+        """(B, 3, 128, 128) -> [(B, 21, 32, 32)]."""
+        x = self.stem(x)
+        encoded: list[Tensor] = []
+        for layer in self.down:
+            x = layer(x)
+            encoded.append(x)
+        for i, (lateral, layer) in enumerate(zip(self.lateral, self.up, strict=True)):
+            x = nn.functional.interpolate(lateral(x), scale_factor=2.0, mode="nearest")
+            x = layer(torch.relu(x + encoded[-2 - i]))
+        return [self.head(x)]
+
+
+class PoseNet2D(nn.Module):
+    """Heatmaps of the 21 joints of one left-like hand."""
+
+    def __init__(self, config: PoseNet2DConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.net = EncoderDecoder(config) if config.variant == "encoder-decoder" else PoseMachine(config)
+        initialise(self)
+        if config.activation == "softmax":  # start near the uniform distribution
+            for head in [m for m in self.modules() if isinstance(m, nn.Conv2d) and m.out_channels == N_JOINTS]:
+                nn.init.normal_(head.weight, std=0.01)
+
+    def forward(self, x: Tensor) -> list[Tensor]:
+        """Raw maps, one per stage, the last the best.
+
+        Args:
+            x: (B, 3, S, S) normalised composed crop, (uint8 - 128) / 256, right hands mirrored.
+
+        Returns:
+            List of (B, 21, 32, 32): map values ("linear") or logits ("softmax").
+        """
+        return self.net(x)
+
+    def probabilities(self, maps: Tensor) -> Tensor:
+        """Softmax over the cells of each map, (B, 21, 32, 32), sum 1 per joint."""
+        return maps.flatten(2).float().softmax(dim=2).view(maps.shape)
+
+    def heatmaps(self, outputs: Sequence[Tensor]) -> Tensor:
+        """What PoseNet3D consumes: the last stage's maps, with a peak of about 1 for a joint at the root's depth.
+
+        Softmax maps are probabilities times 2 pi sigma^2, the peak's inverse for the target Gaussian at z = 0.
+
+        Args:
+            outputs: result of `forward`.
+
+        Returns:
+            (B, 21, 32, 32).
+        """
+        if self.config.activation == "linear":
+            return outputs[-1]
+        return self.probabilities(outputs[-1]) * (2 * math.pi * self.config.sigma**2)

@@ -1,0 +1,71 @@
+"""PoseNet3D: from 21 heatmaps to the canonical 3D pose (SPEC 4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torch import Tensor, nn
+from torch.nn import functional
+
+from twohands.errors import InputError
+from twohands.models.blocks import BasicBlock, conv_bn_relu, initialise, scaled
+from twohands.skeleton import N_JOINTS, ROOT
+
+
+@dataclass(frozen=True)
+class PoseNet3DConfig:
+    """Shape of PoseNet3D."""
+
+    width: float = 1.0
+    """Multiplier of all channel numbers; 1 is the paper's size."""
+    fc_relu: bool = False
+    """ReLU between the fully connected layers; the authors' later code has none."""
+
+    def __post_init__(self) -> None:
+        if self.width <= 0:
+            raise InputError(f"pose_net_3d: width must be positive, got {self.width}")
+
+
+class PoseNet3D(nn.Module):
+    """ResNet-18 on the heatmaps: 8 residual blocks, 2 fully connected layers, then the output layer.
+
+    Source: paper section 4.3, SPEC 4.
+    """
+
+    def __init__(self, config: PoseNet3DConfig) -> None:
+        super().__init__()
+        self.config = config
+        sizes = [scaled(c, config.width) for c in (64, 128, 256, 512)]
+        layers: list[nn.Module] = [
+            conv_bn_relu(N_JOINTS, sizes[0], 7, stride=2),
+            nn.MaxPool2d(3, stride=2, padding=1),
+        ]
+        channels = sizes[0]
+        for size, stride in zip(sizes, (1, 2, 2, 2), strict=True):
+            layers += [BasicBlock(channels, size, stride), BasicBlock(size, size)]
+            channels = size
+        self.features = nn.Sequential(*layers)
+        between = nn.ReLU if config.fc_relu else nn.Identity
+        self.regressor = nn.Sequential(
+            nn.Linear(channels, channels), between(), nn.Linear(channels, channels), between(),
+            nn.Linear(channels, 3 * N_JOINTS),
+        )  # fmt: skip
+        initialise(self)
+        for layer in self.regressor:  # Kaiming's factor 2 belongs to ReLU; without one it would inflate the output
+            if isinstance(layer, nn.Linear) and not config.fc_relu:
+                nn.init.kaiming_normal_(layer.weight, nonlinearity="linear")
+
+    def forward(self, heatmaps: Tensor) -> Tensor:
+        """Canonical pose of a left-like hand.
+
+        Args:
+            heatmaps: (B, 21, 32, 32), see `PoseNet2D.heatmaps`.
+
+        Returns:
+            (B, 21, 3) canonical joints, x right, y down, z forward, unit = hand length. The output is shifted so
+            that the root is exactly 0, as the canonical frame demands; the layer itself is free.
+        """
+        x = functional.interpolate(heatmaps, scale_factor=2.0, mode="bilinear", align_corners=False)  # (B, 21, 64, 64)
+        x = self.features(x).mean(dim=(2, 3))  # (B, C)
+        joints = self.regressor(x).reshape(-1, N_JOINTS, 3)
+        return joints - joints[:, ROOT : ROOT + 1]

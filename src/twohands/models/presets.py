@@ -1,0 +1,80 @@
+"""The networks by name, and the shapes of them that the two recipes use."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from torch import nn
+
+from twohands.errors import InputError
+from twohands.models.hand_seg_net import HandSegNet, HandSegNetConfig
+from twohands.models.pose_net_2d import PoseNet2D, PoseNet2DConfig
+from twohands.models.pose_net_3d import PoseNet3D, PoseNet3DConfig
+
+NetworkName = Literal["hand_seg_net", "pose_net_2d", "pose_net_3d"]
+
+
+@dataclass(frozen=True)
+class NetworkKind:
+    """A network class and the class of its configuration."""
+
+    network: type[nn.Module]
+    config: type[Any]
+
+
+NETWORKS: dict[str, NetworkKind] = {
+    "hand_seg_net": NetworkKind(HandSegNet, HandSegNetConfig),
+    "pose_net_2d": NetworkKind(PoseNet2D, PoseNet2DConfig),
+    "pose_net_3d": NetworkKind(PoseNet3D, PoseNet3DConfig),
+}
+
+
+@dataclass(frozen=True)
+class NetworkConfigs:
+    """Shapes of the three networks of one preset."""
+
+    hand_seg_net: HandSegNetConfig = HandSegNetConfig()
+    pose_net_2d: PoseNet2DConfig = PoseNet2DConfig()
+    pose_net_3d: PoseNet3DConfig = PoseNet3DConfig()
+
+
+PAPER = NetworkConfigs()
+"""The paper's networks (SPEC 2, 3, 4)."""
+
+SLIM = NetworkConfigs(
+    HandSegNetConfig(height=160, width_px=288, width=0.375, skips=True, output_stride=2),
+    PoseNet2DConfig("encoder-decoder", crop_size=128, stages=1, width=1.25, activation="softmax", sigma=1.5),
+    PoseNet3DConfig(width=0.5, fc_relu=True),
+)
+"""Ours: small enough to learn and to run on two CPU cores."""
+
+
+def config_from_dict(name: str, values: Mapping[str, Any]) -> Any:
+    """The configuration of a network from plain JSON values.
+
+    Raises:
+        InputError: unknown network, or unknown or missing fields.
+    """
+    if name not in NETWORKS:
+        raise InputError(f"unknown network '{name}'; known: {', '.join(NETWORKS)}")
+    kind = NETWORKS[name].config
+    unknown = sorted(set(values) - {field.name for field in dataclasses.fields(kind)})
+    if unknown:
+        raise InputError(f"{name}: unknown configuration fields {', '.join(unknown)}")
+    return kind(**values)
+
+
+def build_network(name: str, config: Any) -> nn.Module:
+    """A network with fresh weights.
+
+    Raises:
+        InputError: unknown network, or a configuration of another one.
+    """
+    if name not in NETWORKS:
+        raise InputError(f"unknown network '{name}'; known: {', '.join(NETWORKS)}")
+    if type(config) is not NETWORKS[name].config:
+        raise InputError(f"{name} cannot be built from a {type(config).__name__}")
+    return NETWORKS[name].network(config)

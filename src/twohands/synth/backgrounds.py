@@ -1,0 +1,162 @@
+"""Backgrounds behind the hands: photographs from a folder, or procedural clutter where there is none."""
+
+from __future__ import annotations
+
+import hashlib
+from functools import lru_cache
+from pathlib import Path
+from typing import Protocol
+
+import cv2
+import numpy as np
+
+from twohands.errors import InputError
+
+IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp")
+
+
+class Backgrounds(Protocol):
+    """Anything that gives backgrounds."""
+
+    @property
+    def name(self) -> str:
+        """Identifies the source in manifests."""
+        ...
+
+    def sample(self, rng: np.random.Generator, width: int, height: int) -> np.ndarray:
+        """A random (height, width, 3) uint8 RGB background."""
+        ...
+
+
+class ProceduralBackgrounds:
+    """Gradients, smooth noise, and random shapes with edges, stripes and grain: nothing to download, never the same."""
+
+    name = "procedural"
+
+    def sample(self, rng: np.random.Generator, width: int, height: int) -> np.ndarray:
+        """A random (height, width, 3) uint8 RGB background."""
+        canvas = _smooth_noise(rng, width, height, cells=int(rng.integers(2, 6))) * rng.uniform(20, 90)
+        canvas += _gradient(rng, width, height)
+        for _ in range(int(rng.integers(4, 26))):
+            _draw_shape(canvas, rng)
+        canvas += _smooth_noise(rng, width, height, cells=int(rng.integers(20, 80))) * rng.uniform(0, 30)
+        canvas += rng.normal(0, rng.uniform(0, 6), canvas.shape)
+        picture = np.clip(canvas, 0, 255).astype(np.uint8)
+        if rng.random() < 0.5:
+            blur = rng.uniform(0.5, 3.0) * width / 480
+            picture = cv2.GaussianBlur(picture, (0, 0), blur)
+        return np.asarray(picture)
+
+
+class BackgroundFolder:
+    """Photographs of a folder and its subfolders, with random crop, flip and colour augmentation (paper 3.1).
+
+    Args:
+        folder: holds .jpg, .png, .bmp or .webp files.
+        files: use these of its files only; all if None.
+
+    Raises:
+        InputError: the folder does not exist or holds no readable picture.
+    """
+
+    def __init__(self, folder: Path, files: tuple[Path, ...] | None = None) -> None:
+        if not folder.is_dir():
+            raise InputError(f"background folder {folder} does not exist")
+        found = files or tuple(sorted(p for p in folder.rglob("*") if p.suffix.lower() in IMAGE_SUFFIXES))
+        self.files = tuple(path for path in found if path.stat().st_size > 0)
+        if not self.files:
+            raise InputError(f"no background picture ({', '.join(IMAGE_SUFFIXES)}) in {folder}")
+        digest = hashlib.sha256("\n".join(path.name for path in self.files).encode()).hexdigest()[:12]
+        self.name = f"{folder.name} ({len(self.files)} pictures, {digest})"
+
+    def sample(self, rng: np.random.Generator, width: int, height: int) -> np.ndarray:
+        """A random (height, width, 3) uint8 RGB background.
+
+        Raises:
+            InputError: ten files in a row cannot be read.
+        """
+        for _ in range(10):
+            picture = _read(self.files[int(rng.integers(len(self.files)))])
+            if picture is not None:
+                return augment(picture, rng, width, height)
+        raise InputError(f"background pictures of {self.name} cannot be read")
+
+
+class MixedBackgrounds:
+    """Draws from several sources in turn, each with its weight."""
+
+    def __init__(self, sources: tuple[Backgrounds, ...], weights: tuple[float, ...]) -> None:
+        self.sources = sources
+        self._cumulative = np.cumsum(np.asarray(weights, float) / np.sum(weights))
+        self.name = " + ".join(source.name for source in sources)
+
+    def sample(self, rng: np.random.Generator, width: int, height: int) -> np.ndarray:
+        """A random (height, width, 3) uint8 RGB background."""
+        choice = min(int(np.searchsorted(self._cumulative, rng.random())), len(self.sources) - 1)
+        return self.sources[choice].sample(rng, width, height)
+
+
+def augment(picture: np.ndarray, rng: np.random.Generator, width: int, height: int) -> np.ndarray:
+    """Random crop of the target's aspect ratio, horizontal flip, and random brightness, contrast and tint."""
+    h, w = picture.shape[:2]
+    largest = min(w / width, h / height)
+    scale = largest * rng.uniform(0.6, 1.0)
+    cw, ch = max(int(width * scale), 1), max(int(height * scale), 1)
+    x, y = int(rng.integers(0, w - cw + 1)), int(rng.integers(0, h - ch + 1))
+    crop = picture[y : y + ch, x : x + cw]
+    if rng.random() < 0.5:
+        crop = crop[:, ::-1]
+    crop = cv2.resize(np.ascontiguousarray(crop), (width, height), interpolation=cv2.INTER_LINEAR)
+    gain = np.exp(rng.normal(0, 0.18) + rng.normal(0, 0.06, 3))
+    contrast, pivot = np.exp(rng.normal(0, 0.12)), rng.uniform(90, 150)
+    table = np.clip((np.arange(256)[:, None] * gain - pivot) * contrast + pivot, 0, 255).astype(np.uint8)
+    return np.asarray(cv2.LUT(crop, np.ascontiguousarray(table[None])))
+
+
+@lru_cache(maxsize=600)
+def _read(path: Path) -> np.ndarray | None:
+    picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if picture is None:
+        return None
+    scale = 1280 / max(picture.shape[:2])
+    if scale < 1:
+        picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB))
+
+
+def _gradient(rng: np.random.Generator, width: int, height: int) -> np.ndarray:
+    corners = rng.uniform(10, 245, (1, 1, 3)) + rng.normal(0, 45, (2, 2, 3))
+    return np.asarray(cv2.resize(corners.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR))
+
+
+def _smooth_noise(rng: np.random.Generator, width: int, height: int, cells: int) -> np.ndarray:
+    grid = rng.normal(0, 0.5, (max(cells * height // width, 2), cells, 3)).astype(np.float32)
+    grid = grid.mean(-1, keepdims=True) * 0.8 + grid * 0.35
+    return np.asarray(cv2.resize(grid, (width, height), interpolation=cv2.INTER_CUBIC))
+
+
+def _draw_shape(canvas: np.ndarray, rng: np.random.Generator) -> None:
+    """One polygon, ellipse or bar; some in skin colours, so that colour alone does not give a hand away."""
+    height, width = canvas.shape[:2]
+    colour = rng.uniform(0, 255, 3)
+    if rng.random() < 0.3:
+        colour = np.array([200.0, 150.0, 120.0]) * rng.uniform(0.25, 1.2) + rng.normal(0, 12, 3)
+    colour = tuple(float(c) for c in colour)
+    centre = rng.uniform([-0.1, -0.1], [1.1, 1.1]) * [width, height]
+    size = np.exp(rng.uniform(np.log(0.02), np.log(0.5))) * width
+    angle = rng.uniform(0, 180)
+    kind = rng.integers(4)
+    if kind == 0:
+        axes = (int(size / 2) + 1, int(size * rng.uniform(0.1, 0.5)) + 1)
+        cv2.ellipse(canvas, (int(centre[0]), int(centre[1])), axes, angle, 0, 360, colour, -1, cv2.LINE_AA)
+    elif kind == 1:
+        corners = centre + rng.normal(0, size / 2, (int(rng.integers(3, 7)), 2))
+        cv2.fillPoly(canvas, [np.int32(corners)], colour, cv2.LINE_AA)
+    elif kind == 2:
+        box = cv2.boxPoints(((centre[0], centre[1]), (size, size * rng.uniform(0.05, 1)), angle))
+        cv2.fillPoly(canvas, [np.int32(box)], colour, cv2.LINE_AA)
+    else:
+        end = centre + size * 1.5 * np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle))])
+        thick = int(max(1, width * rng.uniform(0.002, 0.06)))
+        start = (int(centre[0]), int(centre[1]))
+        cv2.line(canvas, start, (int(end[0]), int(end[1])), colour, thick, cv2.LINE_AA)

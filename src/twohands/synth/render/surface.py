@@ -1,0 +1,95 @@
+"""Per-vertex attributes of the arms that a renderer needs beside positions: labels, palm side, nails, seams.
+
+Everything here depends on the asset alone; normals also on the person.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from twohands.synth.body import Body, bone, load_asset, part_labels
+from twohands.synth.pose import ArmAnatomy, unit
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface:
+    """Attributes of the V vertices.
+
+    Attributes:
+        label: (V,) float32 part label 1..14.
+        palmar: (V,) float32, 0 on the back of hand and arm, 1 on palm and finger pads.
+        nail: (V, 3) float32, position on the last phalanx: along (0 at its joint, 1 at the tip), across
+            (-1..1), dorsal (1 on the back); (-1, 0, 0) elsewhere.
+        flush: (V,) float32, 0..1 where blood shows: knuckles and fingertips.
+        first_face: (2,) first triangle of the left and of the right arm in `faces`.
+        faces: (F, 3) int32, the left arm's triangles before the right arm's.
+    """
+
+    label: np.ndarray
+    palmar: np.ndarray
+    nail: np.ndarray
+    flush: np.ndarray
+    first_face: tuple[int, int]
+    faces: np.ndarray
+
+
+def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(V, 3) outward unit normals of a closed mesh whose triangles are counter-clockwise from outside."""
+    corners = vertices[faces]
+    face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.zeros_like(vertices)
+    for k in range(3):
+        for axis in range(3):
+            normals[:, axis] += np.bincount(faces[:, k], face[:, axis], len(vertices))
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+
+
+@lru_cache(maxsize=1)
+def surface() -> Surface:
+    """The attributes, found on the average body at rest."""
+    asset = load_asset()
+    body = asset.body()
+    normals = vertex_normals(body.vertices, asset.faces)
+    strongest = np.take_along_axis(asset.bone_index, asset.bone_weight.argmax(1)[:, None], 1)[:, 0]
+    palmar = np.zeros(asset.n_vertices)
+    nail = np.tile([-1.0, 0.0, 0.0], (asset.n_vertices, 1))
+    flush = np.zeros(asset.n_vertices)
+    for side in (0, 1):
+        anatomy = ArmAnatomy(body, side)
+        joints = body.joints[side]
+        own = asset.side == side
+        beyond_wrist = np.clip((body.vertices - joints[1]) @ anatomy.hand_axis / 0.07 + 0.75, 0.25, 1)
+        facing = normals @ anatomy.palmar
+        palmar[own] = (np.clip(facing / 0.5 + 0.5, 0, 1) * beyond_wrist)[own]
+        for finger in range(5):
+            last = joints[4 + 4 * finger]
+            tip = joints[5 + 4 * finger]
+            bend = anatomy.thumb[2] if finger == 0 else anatomy.fingers[finger - 1][0]
+            axis = unit(tip - last)
+            across = unit(bend - axis * (bend @ axis))
+            dorsal = np.cross(axis, across)
+            chosen = strongest == bone(f"finger{finger + 1}-3", side)
+            offset = body.vertices[chosen] - last
+            extent = (offset @ axis).max()
+            width = np.abs(offset @ across).max()
+            nail[chosen] = np.stack([offset @ axis / extent, offset @ across / width, normals[chosen] @ dorsal], 1)
+            flush[chosen] = np.clip(offset @ axis / extent, 0, 1)
+            # Pads of thumb and curled fingers do not face the palm's way at rest.
+            palmar[chosen] = np.clip(-(normals[chosen] @ dorsal) / 0.5 + 0.5, 0, 1)
+            for joint in (2 + 4 * finger, 3 + 4 * finger):
+                distance = np.linalg.norm(body.vertices - joints[joint], axis=1)
+                flush = np.maximum(flush, own * np.clip(1.4 - distance / 0.011, 0, 1) * (1 - palmar))
+    left_face = asset.side[asset.faces[:, 0]] == 0
+    faces = np.concatenate([asset.faces[left_face], asset.faces[~left_face]])
+    as32 = lambda array: np.ascontiguousarray(array, dtype=np.float32)  # noqa: E731
+    return Surface(
+        as32(part_labels(asset)),
+        as32(palmar),
+        as32(nail),
+        as32(flush),
+        (0, int(left_face.sum())),
+        faces.astype(np.int32),
+    )

@@ -1,0 +1,296 @@
+"""Draws one scene: who, in which pose, under which light. A pure function of (config, seed, index)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from twohands.errors import InputError
+from twohands.geometry.camera import project
+from twohands.skeleton import LEFT, RIGHT, ROOT
+from twohands.synth.body import BONES_PER_SIDE, Body, forward_kinematics, load_asset, posed_joints
+from twohands.synth.collision import hands_collide
+from twohands.synth.config import SynthConfig
+from twohands.synth.pose import ArmAnatomy, HandAngles
+from twohands.types import PinholeCamera
+
+MAX_TRIES = 2000
+SHAPE_RANK = 24
+"""Leading shape directions that random people use; the rest are below what a picture shows."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Skin:
+    """Look of one person's skin; colours are linear RGB albedo.
+
+    Attributes:
+        albedo: (3,) back of the hand.
+        palm_albedo: (3,).
+        nail_albedo: (3,).
+        roughness: 0.25 (moist) to 0.7 (dry).
+        mottle: strength of the blotchy variation, 0..1.
+        seed: (3,) offset into the noise field.
+    """
+
+    albedo: np.ndarray
+    palm_albedo: np.ndarray
+    nail_albedo: np.ndarray
+    roughness: float
+    mottle: float
+    seed: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lighting:
+    """Point lights and an ambient hemisphere, linear RGB.
+
+    Attributes:
+        positions: (L, 3) camera frame, metres.
+        colours: (L, 3) radiant intensity; the fall-off is quadratic.
+        sky, ground: (3,) ambient light from above and below.
+    """
+
+    positions: np.ndarray
+    colours: np.ndarray
+    sky: np.ndarray
+    ground: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SceneSpec:
+    """Everything a renderer needs for one picture.
+
+    Attributes:
+        camera: intrinsics.
+        shape: shape coefficients of the person.
+        transforms: (48, 3, 4) rest-to-posed transforms of the bones, before scaling.
+        scale: factor from the body's metres to the scene's (`SynthConfig.hand_length`).
+        joints_m: (2, 22, 3) camera frame, scaled metres; NaN for an absent hand.
+        present: (2,) bool.
+        skin: one `Skin` per side, the same person's.
+        lighting: lights.
+        index: number of the instance.
+    """
+
+    camera: PinholeCamera
+    shape: np.ndarray
+    transforms: np.ndarray
+    scale: float
+    joints_m: np.ndarray
+    present: np.ndarray
+    skin: Skin
+    lighting: Lighting
+    index: int
+
+    @property
+    def body(self) -> Body:
+        """The person at rest."""
+        return _body(tuple(self.shape.tolist()))
+
+
+@lru_cache(maxsize=16)
+def _body(shape: tuple[float, ...]) -> Body:
+    return load_asset().body(np.array(shape) if shape else None)
+
+
+@lru_cache(maxsize=16)
+def _anatomy(shape: tuple[float, ...]) -> tuple[ArmAnatomy, ArmAnatomy]:
+    body = _body(shape)
+    return ArmAnatomy(body, LEFT), ArmAnatomy(body, RIGHT)
+
+
+def instance_rng(seed: int, index: int) -> np.random.Generator:
+    """The generator that owns instance `index` of the set with this seed, whatever the number of workers."""
+    return np.random.default_rng(np.random.SeedSequence(entropy=seed, spawn_key=(index,)))
+
+
+def sample_angles(rng: np.random.Generator) -> HandAngles:
+    """Random angles within the ranges of a healthy adult hand.
+
+    Fingers are drawn together (fists, flat hands, grasps), each on its own (free poses), or as a pointing or pinching
+    hand, so that common hand shapes and odd ones both occur.
+    """
+    deg = np.radians
+    kind = rng.choice(4, p=[0.4, 0.3, 0.15, 0.15])
+    shared = rng.uniform(-0.05, 1.0)
+    if kind == 0:  # together: flat hand to fist
+        curl = np.full((4, 2), shared) + rng.normal(0, 0.10, (4, 2))
+    elif kind == 1:  # free: every joint on its own
+        curl = rng.uniform(-0.1, 1.0, (4, 2))
+    elif kind == 2:  # some fingers out, the others curled: pointing, counting
+        out = rng.random(4) < 0.5
+        curl = np.where(out[:, None], rng.uniform(-0.1, 0.2, (4, 2)), rng.uniform(0.6, 1.0, (4, 2)))
+    else:  # knuckles bent, fingers rather straight, or the reverse: pinch and hook
+        curl = np.stack([np.full(4, rng.uniform(0, 1)), np.full(4, rng.uniform(0, 1))], 1)
+        curl += rng.normal(0, 0.08, (4, 2))
+    curl = np.clip(curl, -0.15, 1.0)
+    mcp = deg(-5 + 88 * curl[:, 0])
+    pip = deg(4 + 98 * np.clip(curl[:, 1], 0, 1))
+    dip = pip * rng.uniform(0.4, 0.8, 4) + deg(rng.normal(0, 3, 4))
+    openness = rng.uniform(-0.4, 1.0)
+    # A bent knuckle cannot spread: its side ligaments are tight.
+    room = np.cos(np.clip(mcp, 0, deg(80))) ** 2
+    spread = (deg([10.0, 2.0, -6.0, -14.0]) * openness + deg(rng.normal(0, 3, 4))) * room
+    thumb = deg(
+        [rng.uniform(-8, 42), rng.uniform(-22, 18), rng.uniform(-5, 48), rng.uniform(-15, 65)],
+    )
+    return HandAngles(
+        pronation=deg(rng.uniform(-75, 75)),
+        wrist_flexion=deg(np.clip(rng.normal(-5, 28), -60, 60)),
+        wrist_deviation=deg(np.clip(rng.normal(-4, 11), -28, 20)),
+        cup=deg(rng.uniform(0, 14)),
+        thumb=thumb,
+        fingers=np.stack([spread, mcp, pip, dip], axis=1),
+    )
+
+
+_MONK_SRGB = np.array(
+    [
+        [246, 237, 228],
+        [243, 231, 219],
+        [247, 234, 208],
+        [234, 218, 186],
+        [215, 189, 150],
+        [160, 126, 86],
+        [130, 92, 67],
+        [96, 65, 52],
+        [58, 49, 42],
+        [41, 36, 32],
+    ]
+)
+"""The ten tones of the Monk Skin Tone scale (Google, CC BY 4.0), sRGB."""
+
+
+def sample_skin(config: SynthConfig, rng: np.random.Generator) -> Skin:
+    """Skin whose tone is even over the Monk scale, with the variation of hue that one tone covers."""
+    tone = rng.uniform(*config.skin_tones) * (len(_MONK_SRGB) - 1)
+    low = min(int(tone), len(_MONK_SRGB) - 2)
+    srgb = (_MONK_SRGB[low] * (1 - tone + low) + _MONK_SRGB[low + 1] * (tone - low)) / 255
+    albedo = srgb**2.2
+    # The printed scale is paler than lit skin; blood reddens and deepens it.
+    albedo = albedo * np.array([0.86, 0.60, 0.46]) ** rng.uniform(0.75, 1.5) * rng.uniform(0.9, 1.2)
+    albedo = np.clip(albedo * np.exp(rng.normal(0, 0.05, 3)), 0.012, 0.9)
+    pale = np.array([0.62, 0.36, 0.27])
+    palm = albedo + (pale - albedo) * np.where(albedo < pale, 0.38, 0.12)
+    nail = albedo + (np.array([0.75, 0.52, 0.45]) - albedo) * 0.4
+    return Skin(albedo, palm, nail, rng.uniform(0.3, 0.7), rng.uniform(0.2, 1.0), rng.uniform(-100, 100, 3))
+
+
+def sample_lighting(config: SynthConfig, rng: np.random.Generator) -> Lighting:
+    """Lights around and above the person, of random brightness, with slightly random colour."""
+    count = config.lights
+    direction = rng.normal(size=(count, 3)) * [1.0, 0.6, 1.0] + [0.0, -0.8, 0.0]
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    distance = rng.uniform(0.9, 2.2, (count, 1))
+    positions = direction * distance + [0.0, 0.1, 0.35]
+    warmth = rng.normal(0, 0.12)
+    tint = np.exp(np.array([warmth, 0.0, -warmth]) + rng.normal(0, 0.05, (count, 3)))
+    power = rng.dirichlet(np.full(count, 1.5))[:, None] * count * distance**2
+    level = np.exp(rng.normal(0, 0.3))
+    ambient = level * rng.uniform(0.12, 0.45)
+    sky = ambient * np.exp(np.array([warmth, 0.0, -warmth]) + rng.normal(0, 0.08, 3))
+    ground = sky * rng.uniform(0.3, 0.9) * np.exp(rng.normal(0, 0.1, 3))
+    return Lighting(positions, tint * power * level * rng.uniform(0.16, 0.34), sky, ground)
+
+
+def sample_shape(config: SynthConfig, rng: np.random.Generator) -> np.ndarray:
+    """Shape coefficients of a random person: a blend of two sampled adults, drawn towards the average."""
+    if config.body_variation == 0:
+        return np.zeros(0)
+    coefficients = load_asset().coefficients
+    a, b = coefficients[rng.integers(len(coefficients), size=2)]
+    blend = rng.uniform()
+    return (config.body_variation * (a * blend + b * (1 - blend)))[:SHAPE_RANK].astype(np.float64)
+
+
+def inside_image(joints_m: np.ndarray, camera: PinholeCamera, margin: float) -> bool:
+    """Whether all joints (..., 3) project into the image, `margin` (a fraction of its size) away from its border."""
+    if joints_m[..., 2].min() <= 0.02:
+        return False
+    px = project(joints_m, camera) / [camera.width, camera.height]
+    return bool((px > margin).all() and (px < 1 - margin).all())
+
+
+def sample_scene(config: SynthConfig, seed: int, index: int) -> SceneSpec:
+    """One random instance.
+
+    Args:
+        config: distributions.
+        seed: of the whole set.
+        index: of the instance; the same (config, seed, index) gives the same scene anywhere.
+
+    Returns:
+        The scene.
+
+    Raises:
+        InputError: the hand box cannot be reached or seen with this configuration.
+    """
+    rng = instance_rng(seed, index)
+    shape = sample_shape(config, rng)
+    key = tuple(shape.tolist())
+    body, anatomy = _body(key), _anatomy(key)
+    camera = PinholeCamera.ego3dhands(config.width, config.height)
+    present = rng.random(2) >= config.drop_rate
+    if not present.any():
+        present[rng.integers(2)] = True
+
+    rotations = np.tile(np.eye(3), (2 * BONES_PER_SIDE, 1, 1))
+    for _ in range(MAX_TRIES):
+        sides = [side for side in (LEFT, RIGHT) if present[side]]
+        if not all(_pose_arm(config, anatomy[side], body, camera, rotations, rng) for side in sides):
+            continue
+        transforms = forward_kinematics(body, rotations)
+        joints = posed_joints(body, transforms)
+        if not hands_collide(body, transforms, joints, present):
+            break
+    else:
+        raise InputError(f"no pose fits the hand box {config.box_min} to {config.box_max}: enlarge or move it")
+
+    scale = 1.0 if config.hand_length is None else config.hand_length / body.hand_length_m
+    joints_m = np.where(present[:, None, None], joints * scale, np.nan)
+    return SceneSpec(
+        camera,
+        shape,
+        transforms,
+        scale,
+        joints_m,
+        present,
+        sample_skin(config, rng),
+        sample_lighting(config, rng),
+        index,
+    )
+
+
+def _pose_arm(
+    config: SynthConfig,
+    anatomy: ArmAnatomy,
+    body: Body,
+    camera: PinholeCamera,
+    rotations: np.ndarray,
+    rng: np.random.Generator,
+) -> bool:
+    """Draws one arm into `rotations` (48, 3, 3); tells whether it reaches the box and stays in the picture."""
+    low, high = np.array(config.box_min), np.array(config.box_max)
+    if anatomy.side == RIGHT:
+        low[0], high[0] = -config.box_max[0], -config.box_min[0]
+    arm = slice(anatomy.first, anatomy.first + BONES_PER_SIDE)
+    for _ in range(40):
+        target = rng.uniform(low, high)
+        hand = anatomy.hand_rotations(sample_angles(rng))
+        # The box is for the root joint but the arm solver places the wrist, about a hand length nearer the elbow.
+        wrist = target - unit_from(anatomy.shoulder, target) * 0.09
+        if not anatomy.reach(hand, wrist, np.radians(rng.uniform(-10, 75))):
+            continue
+        rotations[arm] = hand
+        joints = posed_joints(body, forward_kinematics(body, rotations))[anatomy.side, 1:]
+        root = joints[ROOT]
+        if (root > low).all() and (root < high).all() and inside_image(joints, camera, config.image_margin):
+            return True
+    return False
+
+
+def unit_from(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Unit vector from `a` to `b`."""
+    return (b - a) / np.linalg.norm(b - a)

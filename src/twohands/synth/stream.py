@@ -1,0 +1,84 @@
+"""The generator as an endless labelled data set: scenes are rendered when they are asked for, nothing touches disk."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+
+from twohands.geometry.camera import project
+from twohands.synth.backgrounds import Backgrounds, ProceduralBackgrounds
+from twohands.synth.compositing import compose_frame
+from twohands.synth.config import SynthConfig
+from twohands.synth.render.raster import RasterRenderer
+from twohands.synth.scene import instance_rng, sample_scene
+from twohands.types import HandSample, RenderedFrame
+
+_BACKGROUND_STREAM = 1 << 40
+"""Offset of the seeds that draw backgrounds, so that they are independent of the scenes' own."""
+
+
+class SyntheticStream:
+    """Instances of one set; item `i` is a pure function of (config, seed, i), in any process.
+
+    Args:
+        config: distributions; its width and height are the image size.
+        seed: of the set.
+        size: number of instances.
+        backgrounds: source of backgrounds; procedural if None.
+
+    Raises (on the first item):
+        MissingExtraError, RendererError: no renderer on this machine.
+    """
+
+    def __init__(
+        self, config: SynthConfig, seed: int, size: int, backgrounds: Backgrounds | None = None
+    ) -> None:
+        self.config, self.seed, self.size = config, seed, size
+        self.backgrounds = backgrounds or ProceduralBackgrounds()
+        self.name = f"synthetic seed {seed}"
+
+    @cached_property
+    def renderer(self) -> RasterRenderer:
+        """One OpenGL context per process, made when first needed."""
+        return RasterRenderer(self.config.width, self.config.height)
+
+    def __getstate__(self) -> dict[str, object]:
+        return {key: value for key, value in self.__dict__.items() if key != "renderer"}
+
+    def __len__(self) -> int:
+        return self.size
+
+    def frame(self, index: int) -> RenderedFrame:
+        """Instance `index` before compositing."""
+        if not 0 <= index < self.size:
+            raise IndexError(f"instance {index} of {self.size}")
+        return self.renderer.render(sample_scene(self.config, self.seed, index))
+
+    def background(self, index: int) -> np.ndarray:
+        """(H, W, 3) uint8 background of instance `index`."""
+        rng = instance_rng(self.seed, _BACKGROUND_STREAM + index)
+        return self.backgrounds.sample(rng, self.config.width, self.config.height)
+
+    def __getitem__(self, index: int) -> HandSample:
+        frame = self.frame(index)
+        sample = hand_sample(frame, f"{self.name} #{index}")
+        return replace(sample, image=compose_frame(frame, self.background(index)))
+
+
+def hand_sample(frame: RenderedFrame, source: str) -> HandSample:
+    """The labels of a frame; its image is the hands on black."""
+    joints = frame.joints_m[:, 1:]
+    present = frame.present
+    return HandSample(
+        image=frame.rgb,
+        camera=frame.camera,
+        present=present,
+        joints_px=project(joints, frame.camera),
+        joints_m=joints,
+        valid=np.repeat(present[:, None], joints.shape[1], axis=1),
+        labels=frame.part_labels,
+        depth_m=frame.depth_m,
+        source=source,
+    )

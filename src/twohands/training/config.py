@@ -1,0 +1,270 @@
+"""Everything that decides a training run, and the two recipes."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, get_args
+
+from twohands.datasets.targets import CropConfig, ZoomConfig
+from twohands.datasets.transforms import MaskConfig, PhotometricConfig
+from twohands.errors import InputError
+from twohands.models.presets import PAPER, SLIM, NetworkConfigs
+
+StageName = Literal["hand_seg_net", "pose_net_2d", "pose_net_3d"]
+RecipeName = Literal["paper", "ours"]
+
+
+@dataclass(frozen=True)
+class DataConfig:
+    """Where the pictures come from."""
+
+    source: str = ""
+    """Folder of training pictures, or the name of a built-in source (see `training.sources`)."""
+    validation: int = 256
+    """Pictures held out, from the end of the source, at most a tenth of it."""
+    seed: int = 0
+    """Seed of sources that make their pictures."""
+    workers: int = 1
+    """Processes that prepare batches; 0 prepares them in the training process. The result is the same."""
+
+
+@dataclass(frozen=True)
+class AugmentConfig:
+    """Random changes during training; validation sees none."""
+
+    photometric: PhotometricConfig = PhotometricConfig()
+    """Colours, blur, noise."""
+    masks: MaskConfig = MaskConfig()
+    """Imperfect masks (pose stages)."""
+    zoom: ZoomConfig = ZoomConfig()
+    """Scale, shift, flip (segmentation stage)."""
+
+
+@dataclass(frozen=True)
+class LossConfig:
+    """Which losses, and their weights."""
+
+    heatmap: Literal["mse", "cross-entropy"] = "mse"
+    """Loss of PoseNet2D: mean squared error over all stages, or cross-entropy plus L1 on the soft-argmax."""
+    reduction: Literal["mean", "sum_map"] = "mean"
+    """Scale of the mean squared error of heatmaps."""
+    z_heatmaps: bool = True
+    """Let the target's spread tell the joint's depth."""
+    soft_argmax: float = 0.0
+    """Weight of the L1 loss on the soft-argmax, error in heatmap cells."""
+    energy: float = 1.0
+    """Weight of the energy loss of HandSegNet."""
+    joint_norm: Literal["mse", "l1"] = "mse"
+    """Norm of the three losses of PoseNet3D."""
+    joint: float = 1.0
+    """Weight of L_j."""
+    bone: float = 1.0
+    """Weight of L_bone."""
+    projection: float = 1.0
+    """Weight of L_proj."""
+    heatmap_along: float = 0.0
+    """Stage pose_net_3d: weight of PoseNet2D's own loss while it is trained along."""
+
+
+@dataclass(frozen=True)
+class OptimConfig:
+    """Optimizer and its schedule."""
+
+    optimizer: Literal["adam", "adamw", "sgd"] = "adam"
+    """Which optimizer; sgd has momentum 0."""
+    learning_rate: float = 1e-3
+    """Largest learning rate."""
+    weight_decay: float = 0.0
+    """Weight decay of matrices and convolutions; adam adds it to the gradient and applies it to all parameters."""
+    schedule: Literal["step", "cosine"] = "step"
+    """step: halve every 5,000 iterations. cosine: warm up, then fall to 1 % over the budget."""
+    halve_every: int = 5000
+    """Iterations between two halvings of the step schedule."""
+    warm_up: int = 100
+    """Iterations of linear warm-up of the cosine schedule."""
+    clip: float = 0.0
+    """Largest norm of the gradient; 0 does not clip."""
+    ema: float = 0.0
+    """Decay per iteration of the averaged weights that are validated and exported; 0 takes the last weights."""
+    along_rate: float = 0.0
+    """Stage pose_net_3d: learning rate of PoseNet2D relative to PoseNet3D's; 0 freezes it."""
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """One training run of one stage; together with the data it decides every bit of the result."""
+
+    stage: StageName = "hand_seg_net"
+    """Which network is trained."""
+    recipe: RecipeName = "paper"
+    """The recipe that the values came from."""
+    iterations: int = 15000
+    """Most optimizer steps."""
+    max_minutes: float = 0.0
+    """Wall-clock budget, summed over resumes; 0 is no limit. The cosine schedule follows whatever ends first."""
+    batch_images: int = 4
+    """Pictures per step; the pose stages take every usable hand in them, up to twice as many crops."""
+    truth_maps: int = 0
+    """Stage pose_net_3d: half of the hands see ideal heatmaps during the first so many iterations (SPEC 9)."""
+    seed: int = 0
+    """Seed of the initial weights, the order of the pictures and all random changes."""
+    precision: Literal["32-true", "bf16-mixed"] = "32-true"
+    """Arithmetic. bf16-mixed is 1.8 times faster on CPUs with AVX512-BF16, even without AMX."""
+    threads: int = 0
+    """CPU threads of the training process; 0 leaves torch's choice."""
+    checkpoint_minutes: float = 3.0
+    """Minutes between two saved states."""
+    validate_every: int = 500
+    """Iterations between two validations."""
+    log_every: int = 50
+    """Iterations between two rows of training losses."""
+    networks: NetworkConfigs = PAPER
+    """Shapes of the networks."""
+    data: DataConfig = DataConfig()
+    """The pictures."""
+    crop: CropConfig = CropConfig()
+    """How hands are cut out."""
+    augment: AugmentConfig = AugmentConfig()
+    """Random changes."""
+    loss: LossConfig = LossConfig()
+    """Losses."""
+    optim: OptimConfig = field(default_factory=OptimConfig)
+    """Optimizer."""
+
+    def __post_init__(self) -> None:
+        if self.stage not in get_args(StageName):
+            raise InputError(f"unknown stage '{self.stage}'; one of {', '.join(get_args(StageName))}")
+        for name in ("iterations", "batch_images", "validate_every", "log_every"):
+            if getattr(self, name) < 1:
+                raise InputError(f"{name} must be at least 1, got {getattr(self, name)}")
+        if self.max_minutes < 0:
+            raise InputError(f"max_minutes must not be negative, got {self.max_minutes}")
+        softmax = self.networks.pose_net_2d.activation == "softmax"
+        if softmax != (self.loss.heatmap == "cross-entropy"):
+            raise InputError(
+                f"loss.heatmap '{self.loss.heatmap}' does not fit maps with activation "
+                f"'{self.networks.pose_net_2d.activation}': mse goes with linear, cross-entropy with softmax"
+            )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain JSON values."""
+        return json.loads(json.dumps(dataclasses.asdict(self)))
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> TrainConfig:
+        """The reverse of `to_dict`.
+
+        Raises:
+            InputError: an unknown field.
+        """
+        return _from_dict(cls(), values, "")
+
+
+def _from_dict(default: Any, values: Mapping[str, Any], where: str) -> Any:
+    """`default` with the given values; nested dataclasses are filled from nested mappings."""
+    changes: dict[str, Any] = {}
+    names = {entry.name for entry in dataclasses.fields(default)}
+    for name, value in values.items():
+        if name not in names:
+            raise InputError(f"unknown setting '{where}{name}'; known: {', '.join(sorted(names))}")
+        current = getattr(default, name)
+        if dataclasses.is_dataclass(current):
+            changes[name] = _from_dict(current, value, f"{where}{name}.")
+        else:
+            changes[name] = value
+    return dataclasses.replace(default, **changes)
+
+
+def with_override(config: TrainConfig, assignment: str) -> TrainConfig:
+    """The config with one setting changed.
+
+    Args:
+        config: any run.
+        assignment: "optim.learning_rate=5e-4": the dotted name, then a value that fits the field's type.
+
+    Raises:
+        InputError: no such setting, or a value of another type.
+    """
+    name, sign, text = assignment.partition("=")
+    if not sign:
+        raise InputError(f"expected NAME=VALUE, got '{assignment}'")
+    *parents, leaf = name.split(".")
+    node: Any = config
+    for part in [*parents, leaf]:
+        if not dataclasses.is_dataclass(node) or part not in {entry.name for entry in dataclasses.fields(node)}:
+            raise InputError(f"unknown setting '{name}'")
+        node = getattr(node, part)
+    if dataclasses.is_dataclass(node):
+        raise InputError(f"'{name}' is a group of settings, name one inside it")
+    try:
+        value = {"true": True, "false": False}[text.lower()] if isinstance(node, bool) else type(node)(text)
+    except (KeyError, ValueError) as error:
+        raise InputError(f"{name} needs a {type(node).__name__}, got '{text}'") from error
+    values: dict[str, Any] = {leaf: value}
+    for part in reversed(parents):
+        values = {part: values}
+    return _from_dict(config, values, "")
+
+
+def recipe(name: RecipeName, stage: StageName) -> TrainConfig:
+    """The run of one stage under one recipe, with no data source yet.
+
+    "paper": SPEC 9. "ours": slim networks and a loss that learns fast (DESIGN 8), strong random changes, imperfect
+    masks, averaged weights; PoseNet3D learns on PoseNet2D's own maps while PoseNet2D keeps learning, because the depth
+    cue travels in the maps' spread.
+
+    Raises:
+        InputError: unknown recipe or stage.
+    """
+    if name == "paper":
+        three_d = stage == "pose_net_3d"
+        return TrainConfig(
+            stage=stage,
+            recipe="paper",
+            iterations=30000 if stage == "hand_seg_net" else 15000,
+            batch_images=4,
+            truth_maps=5000 if three_d else 0,
+            networks=PAPER,
+            optim=OptimConfig(weight_decay=5e-4 if three_d else 0.0),
+        )
+    if name != "ours":
+        raise InputError(f"unknown recipe '{name}'; one of {', '.join(get_args(RecipeName))}")
+    return TrainConfig(
+        stage=stage,
+        recipe="ours",
+        iterations=20000,
+        max_minutes=30.0,
+        batch_images=16,
+        precision="bf16-mixed",
+        networks=SLIM,
+        crop=CropConfig("perspective", margin=1.5, shift=0.1, smallest=0.9, largest=1.2),
+        augment=AugmentConfig(
+            photometric=PhotometricConfig(
+                brightness=0.15, contrast=0.3, gamma=0.7, hue=0.05, saturation=0.4, blur=1.0, noise=0.05, texture=0.15
+            ),
+            masks=MaskConfig(coarse=0.5, border=0.03, holes=0.15, spill=0.2, confusion=0.15, no_arm=0.15),
+            zoom=ZoomConfig(zoom=0.4, shift=0.1, flip=0.5),
+        ),
+        loss=LossConfig(
+            heatmap="cross-entropy",
+            soft_argmax=1.0,
+            joint_norm="l1",
+            joint=10.0,
+            bone=5.0,
+            projection=2.0,
+            heatmap_along=0.3,
+        ),
+        optim=OptimConfig(
+            "adamw",
+            learning_rate=2e-3,
+            weight_decay=0.01,
+            schedule="cosine",
+            warm_up=100,
+            clip=5.0,
+            ema=0.998,
+            along_rate=0.3,
+        ),
+    )

@@ -1,0 +1,143 @@
+"""Every loss of both recipes; each a pure function that returns a scalar tensor.
+
+Weights are (B, 21), 1 for joints that count. A batch in which nothing counts has loss 0, not NaN.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from twohands.geometry.rotation import centring_angles, rotation_from_angles
+from twohands.skeleton import BONES, ROOT
+
+PARENT_JOINTS = [parent for parent, _ in BONES]
+CHILD_JOINTS = [child for _, child in BONES]
+
+
+def weighted_mean(values: Tensor, weight: Tensor) -> Tensor:
+    """sum(values * weight) / sum(weight); 0 if no weight is positive."""
+    total = weight.sum()
+    return (values * weight).sum() / total.clamp_min(1e-12)
+
+
+def segmentation_loss(logits: Tensor, classes: Tensor) -> Tensor:
+    """Cross-entropy per pixel, mean over pixels. logits (B, 3, H, W), classes (B, H, W) int64. Source: SPEC 2, 9."""
+    return functional.cross_entropy(logits.float(), classes)
+
+
+def energy_loss(logits: Tensor, energy: Tensor) -> Tensor:
+    """Mean squared error of sigmoid(logits) against the energy maps, both (B, 2, H, W). Source: SPEC 2, 9."""
+    return functional.mse_loss(torch.sigmoid(logits.float()), energy)
+
+
+def heatmap_mse(
+    outputs: Sequence[Tensor], target: Tensor, weight: Tensor, reduction: Literal["mean", "sum_map"] = "mean"
+) -> Tensor:
+    """Sum over the stages of the mean squared error of heatmaps.
+
+    Args:
+        outputs: one (B, 21, M, M) per stage.
+        target: (B, 21, M, M).
+        weight: (B, 21).
+        reduction: "mean" over cells and counted joints; "sum_map" multiplies it by M * M * 21, the scale on which the
+            paper's runs with plain SGD and learning rate 1e-6 make sense (SPEC 9).
+    """
+    per_stage = [weighted_mean((maps.float() - target).square().mean(dim=(2, 3)), weight) for maps in outputs]
+    loss = torch.stack(per_stage).sum()
+    return loss if reduction == "mean" else loss * target[0].numel()
+
+
+def heatmap_cross_entropy(logits: Tensor, target: Tensor, weight: Tensor) -> Tensor:
+    """Cross-entropy between a target distribution over the cells and the softmax of the logits, in nats per joint.
+
+    Ours; the paper uses the mean squared error. It learns far faster, because every cell's gradient is of the size
+    of its probability error, not diluted over 1,024 cells (DESIGN 8).
+
+    Args:
+        logits: (B, 21, M, M).
+        target: (B, 21, M, M), not negative; normalised here to sum 1 per joint. Joints whose target is all zero do
+            not count.
+        weight: (B, 21).
+    """
+    mass = target.sum(dim=(2, 3))
+    share = target / mass.clamp_min(1e-12)[..., None, None]
+    log_p = logits.float().flatten(2).log_softmax(dim=2).view(logits.shape)
+    return weighted_mean(-(share * log_p).sum(dim=(2, 3)), weight * (mass > 0))
+
+
+def joint_l1(predicted: Tensor, truth: Tensor, weight: Tensor) -> Tensor:
+    """Mean absolute error per coordinate of (B, 21, D) points, in their unit."""
+    return weighted_mean((predicted - truth).abs().mean(dim=-1), weight)
+
+
+def joint_loss(predicted: Tensor, truth: Tensor, weight: Tensor, norm: Literal["mse", "l1"] = "mse") -> Tensor:
+    """L_j: mean over counted joints and 3 axes of (w_hat - w)^2 ("mse", the paper) or |w_hat - w| ("l1", ours).
+
+    predicted and truth (B, 21, 3), canonical units. Source: paper Eq. 2, SPEC 4.
+    """
+    difference = predicted - truth
+    values = difference.square() if norm == "mse" else difference.abs()
+    return weighted_mean(values.mean(dim=-1), weight)
+
+
+def bone_lengths(joints: Tensor) -> Tensor:
+    """(B, 21, 3) -> (B, 20), in the order of `skeleton.BONES`."""
+    return (joints[:, CHILD_JOINTS] - joints[:, PARENT_JOINTS]).norm(dim=-1)
+
+
+def bone_loss(predicted: Tensor, truth: Tensor, weight: Tensor, norm: Literal["mse", "l1"] = "mse") -> Tensor:
+    """L_bone: mean over the 20 bones of the squared (or absolute) length error; a bone counts if both ends do.
+
+    predicted and truth (B, 21, 3), canonical units. Source: paper Eq. 2, SPEC 4.
+    """
+    difference = bone_lengths(predicted) - bone_lengths(truth)
+    values = difference.square() if norm == "mse" else difference.abs()
+    return weighted_mean(values, weight[:, CHILD_JOINTS] * weight[:, PARENT_JOINTS])
+
+
+def projected_joints(joints_px: Tensor, rays_from_crop: Tensor, distance: Tensor, canonical_z: Tensor) -> Tensor:
+    """pi(p): x and y that 2D joints imply in the canonical frame, given the true distance and depths.
+
+    u_j = R(theta, phi) K^-1 [p_j, 1] with the angles of p_root, m_j = (u_x, u_y) / u_z, pi(p_j) = m_j (r/L + z_j).
+
+    Args:
+        joints_px: (B, 21, 2) crop pixels.
+        rays_from_crop: (B, 3, 3), see `PoseTarget.rays_from_crop`.
+        distance: (B,) r/L.
+        canonical_z: (B, 21).
+
+    Returns:
+        (B, 21, 2) canonical units, left-like hand.
+
+    Source: SPEC 4 (L_proj).
+    """
+    rays = _transformed(rays_from_crop, torch.cat([joints_px, torch.ones_like(joints_px[..., :1])], dim=-1))
+    theta, phi = centring_angles(rays[:, ROOT])
+    centred = _transformed(rotation_from_angles(theta, phi), rays)  # (B, 21, 3)
+    slopes = centred[..., :2] / centred[..., 2:]
+    return slopes * (distance[:, None] + canonical_z)[..., None]
+
+
+def _transformed(matrix: Tensor, points: Tensor) -> Tensor:
+    """(B, 3, 3), (B, 21, 3) -> (B, 21, 3). Not a matmul, which mixed precision would round to 8 bits."""
+    return (points[:, :, None, :] * matrix[:, None]).sum(dim=-1)
+
+
+def projection_loss(
+    predicted: Tensor, implied_xy: Tensor, weight: Tensor, norm: Literal["mse", "l1"] = "mse"
+) -> Tensor:
+    """L_proj: mean over counted joints and 2 axes of (xy(w_hat) - pi(p))^2, or of the absolute value.
+
+    Args:
+        predicted: (B, 21, 3).
+        implied_xy: (B, 21, 2) from `projected_joints`; no gradient flows into it.
+        weight: (B, 21).
+
+    Source: paper Eq. 2, SPEC 4.
+    """
+    return joint_loss(predicted[..., :2], implied_xy.detach(), weight, norm)

@@ -1,0 +1,299 @@
+"""What one training step of each stage computes, and how the stage is validated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from twohands.errors import InputError
+from twohands.geometry.boxes import apply_homography
+from twohands.geometry.heatmaps import decode_softargmax, decode_subpixel, encode_energy, encode_heatmaps
+from twohands.models.checkpoint import load_network, network_name
+from twohands.models.hand_seg_net import HandSegNet
+from twohands.models.pose_net_2d import MAP_SIZE, PoseNet2D
+from twohands.models.pose_net_3d import PoseNet3D
+from twohands.training import losses
+from twohands.training.batches import Batch
+from twohands.training.config import TrainConfig
+
+Losses = dict[str, Tensor]
+
+
+def normalised(image: Tensor) -> Tensor:
+    """(B, H, W, 3) uint8 -> (B, 3, H, W) float32, (x - 128) / 256; the memory layout stays channels-last."""
+    return (image.permute(0, 3, 1, 2).float() - 128) / 256
+
+
+class Stage(nn.Module):
+    """One stage: its networks, its losses, its validation figures."""
+
+    config: TrainConfig
+
+    def forward(self, batch: Batch, iteration: int) -> Losses:
+        """Weighted losses of one batch, to be summed; called in training mode."""
+        raise NotImplementedError
+
+    def validate(self, batches: Sequence[Batch]) -> dict[str, float]:
+        """Figures over held-out batches; called in evaluation mode without gradients."""
+        raise NotImplementedError
+
+    def networks(self) -> dict[str, nn.Module]:
+        """The trained networks by name, as they are saved."""
+        raise NotImplementedError
+
+    def parameter_groups(self) -> list[tuple[list[nn.Parameter], float]]:
+        """Parameters with their learning rate relative to the run's."""
+        return [([p for p in self.parameters() if p.requires_grad], 1.0)]
+
+
+class SegmentationStage(Stage):
+    """HandSegNet: cross-entropy of the masks plus mean squared error of the energies. Source: SPEC 2, 9."""
+
+    def __init__(self, config: TrainConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.net = HandSegNet(config.networks.hand_seg_net)
+
+    def forward(self, batch: Batch, iteration: int) -> Losses:
+        segmentation, energy = self.net(normalised(batch["image"]))
+        target = encode_energy(batch["boxes_px"], batch["present"], *energy.shape[-2:])
+        return {
+            "segmentation": losses.segmentation_loss(segmentation, batch["classes"].long()),
+            "energy": self.config.loss.energy * losses.energy_loss(energy, target),
+        }
+
+    def validate(self, batches: Sequence[Batch]) -> dict[str, float]:
+        """miou: mean over pictures of the mean over left and right, an absent hand without prediction counts 1
+        (SPEC 7.1); presence: share of hands whose energy peak says rightly whether they are there."""
+        ious: list[float] = []
+        presence: list[float] = []
+        for batch in batches:
+            segmentation, energy = self.net(normalised(batch["image"]))
+            predicted = segmentation.argmax(dim=1)
+            for hand in (1, 2):
+                a, b = predicted == hand, batch["classes"] == hand
+                union = (a | b).sum(dim=(1, 2))
+                iou = (a & b).sum(dim=(1, 2)) / union.clamp_min(1)
+                ious += torch.where(union > 0, iou, 1.0).tolist()
+            found = torch.sigmoid(energy.float()).amax(dim=(2, 3)) >= 0.5
+            presence += (found == batch["present"]).float().flatten().tolist()
+        return {"miou": float(np.mean(ious)), "presence": float(np.mean(presence))}
+
+    def networks(self) -> dict[str, nn.Module]:
+        return {"hand_seg_net": self.net}
+
+
+def heatmap_targets(batch: Batch, config: TrainConfig) -> Tensor:
+    """Target maps (N, 21, 32, 32) with peak 1; the spread carries the depth if the run asks for z-heatmaps."""
+    net = config.networks.pose_net_2d
+    z = batch["canonical"][..., 2] if config.loss.z_heatmaps else None
+    return encode_heatmaps(batch["joints_px"], crop_size=net.crop_size, map_size=MAP_SIZE, sigma=net.sigma, z=z)
+
+
+def heatmap_losses(net: PoseNet2D, outputs: Sequence[Tensor], batch: Batch, config: TrainConfig) -> Losses:
+    """PoseNet2D's losses: the paper's mean squared error, or cross-entropy plus L1 on the soft-argmax."""
+    target, weight = heatmap_targets(batch, config), batch["weight"]
+    if config.loss.heatmap == "mse":
+        return {"heatmap": losses.heatmap_mse(outputs, target, weight, config.loss.reduction)}
+    cells = batch["joints_px"] * (MAP_SIZE / net.config.crop_size)
+    result = {"heatmap": torch.stack([losses.heatmap_cross_entropy(maps, target, weight) for maps in outputs]).sum()}
+    if config.loss.soft_argmax:
+        points = [decode_softargmax(net.probabilities(maps))[0] for maps in outputs]
+        distances = torch.stack([losses.joint_l1(p, cells, weight) for p in points]).sum()
+        result["soft_argmax"] = config.loss.soft_argmax * distances
+    return result
+
+
+def read_out(net: PoseNet2D, heatmaps: Tensor) -> Tensor:
+    """Joints (N, 21, 2) in crop pixels from `PoseNet2D.heatmaps`, read as the maps were trained."""
+    decode = decode_softargmax if net.config.activation == "softmax" else decode_subpixel
+    return decode(heatmaps.detach().float())[0] * (net.config.crop_size / MAP_SIZE)
+
+
+class _Errors2D:
+    """Collects pixel errors of 2D joints over batches."""
+
+    def __init__(self) -> None:
+        self.crop: list[Tensor] = []
+        self.image: list[Tensor] = []
+
+    def add(self, predicted: Tensor, batch: Batch) -> None:
+        counted = batch["weight"] > 0
+        self.crop.append((predicted - batch["joints_px"]).norm(dim=-1)[counted])
+        homography = batch["image_from_crop"].double()
+        full = [apply_homography(homography, points.double()) for points in (predicted, batch["joints_px"])]
+        self.image.append((full[0] - full[1]).norm(dim=-1)[counted])
+
+    def figures(self) -> dict[str, float]:
+        crop, image = torch.cat(self.crop), torch.cat(self.image)
+        return {
+            "crop_px_mean": float(crop.mean()),
+            "crop_px_median": float(crop.median()),
+            "image_px_mean": float(image.mean()),
+            "image_px_median": float(image.median()),
+        }
+
+
+class Pose2DStage(Stage):
+    """PoseNet2D on crops composed from true masks. Source: SPEC 3, 9."""
+
+    def __init__(self, config: TrainConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.net = PoseNet2D(config.networks.pose_net_2d)
+
+    def forward(self, batch: Batch, iteration: int) -> Losses:
+        outputs = self.net(normalised(batch["image"]))
+        return heatmap_losses(self.net, outputs, batch, self.config)
+
+    def validate(self, batches: Sequence[Batch]) -> dict[str, float]:
+        """Mean and median distance of counted joints, in crop pixels and in pixels of the full picture."""
+        errors = _Errors2D()
+        for batch in batches:
+            maps = self.net.heatmaps(self.net(normalised(batch["image"])))
+            errors.add(read_out(self.net, maps), batch)
+        return errors.figures()
+
+    def networks(self) -> dict[str, nn.Module]:
+        return {"pose_net_2d": self.net}
+
+
+class Pose3DStage(Stage):
+    """PoseNet3D on PoseNet2D's maps: L_j + L_bone + L_proj. Source: paper Eq. 2, SPEC 4, 9.
+
+    The paper's order of training keeps PoseNet2D fixed. With `optim.along_rate` it keeps learning with its own loss and
+    with the gradients that arrive through the maps (ours).
+    """
+
+    def __init__(self, config: TrainConfig, pose_net_2d: PoseNet2D) -> None:
+        super().__init__()
+        self.config = config
+        self.net_2d = pose_net_2d
+        self.net_3d = PoseNet3D(config.networks.pose_net_3d)
+        self.along = config.optim.along_rate > 0
+        self.net_2d.requires_grad_(self.along)
+
+    def train(self, mode: bool = True) -> Pose3DStage:
+        """As for every module, but a frozen PoseNet2D keeps its batch statistics too."""
+        super().train(mode)
+        if not self.along:
+            self.net_2d.eval()
+        return self
+
+    def forward(self, batch: Batch, iteration: int) -> Losses:
+        loss = self.config.loss
+        with torch.set_grad_enabled(self.along):
+            outputs = self.net_2d(normalised(batch["image"]))
+            maps = self.net_2d.heatmaps(outputs)
+        result: Losses = {}
+        if self.along and loss.heatmap_along:
+            two_d = heatmap_losses(self.net_2d, outputs, batch, self.config)
+            result = {name: loss.heatmap_along * value for name, value in two_d.items()}
+        if iteration < self.config.truth_maps:
+            picks = self._truth_picks(len(maps), iteration).to(maps.device)
+            maps = torch.where(picks, self._ideal_maps(batch), maps.float())
+        predicted = self.net_3d(maps).float()
+
+        truth, weight = batch["canonical"], batch["canonical_weight"]
+        norm = loss.joint_norm
+        result["joint"] = loss.joint * losses.joint_loss(predicted, truth, weight, norm)
+        if loss.bone:
+            result["bone"] = loss.bone * losses.bone_loss(predicted, truth, weight, norm)
+        if loss.projection:
+            implied = losses.projected_joints(
+                read_out(self.net_2d, maps), batch["rays_from_crop"], batch["distance"], truth[..., 2]
+            )
+            both = weight * batch["weight"]
+            result["projection"] = loss.projection * losses.projection_loss(predicted, implied, both, norm)
+        return result
+
+    def _ideal_maps(self, batch: Batch) -> Tensor:
+        """Maps as a perfect PoseNet2D would give them, joints outside the crop empty."""
+        maps = heatmap_targets(batch, self.config) * batch["weight"][..., None, None]
+        if self.net_2d.config.activation == "softmax":
+            mass = maps.sum(dim=(2, 3), keepdim=True).clamp_min(1e-12)
+            maps = maps / mass * (2 * torch.pi * self.net_2d.config.sigma**2)
+        return maps
+
+    def _truth_picks(self, count: int, iteration: int) -> Tensor:
+        """(N, 1, 1, 1) bool, true for half of the hands; a function of the seed and the iteration alone."""
+        rng = np.random.default_rng([self.config.seed, iteration, 2])
+        return torch.from_numpy(rng.random((count, 1, 1, 1)) < 0.5)
+
+    def validate(self, batches: Sequence[Batch]) -> dict[str, float]:
+        """canonical_mean: mean joint distance in hand lengths; bone_mean: mean absolute bone length error in hand
+        lengths; PoseNet2D's figures beside them."""
+        errors = _Errors2D()
+        joint: list[Tensor] = []
+        bone: list[Tensor] = []
+        for batch in batches:
+            maps = self.net_2d.heatmaps(self.net_2d(normalised(batch["image"])))
+            errors.add(read_out(self.net_2d, maps), batch)
+            predicted, truth = self.net_3d(maps).float(), batch["canonical"]
+            known = batch["canonical_weight"].bool()
+            joint.append((predicted - truth).norm(dim=-1)[known])
+            whole = known.all(dim=-1)
+            bone.append((losses.bone_lengths(predicted) - losses.bone_lengths(truth))[whole].abs().flatten())
+        return {
+            "canonical_mean": float(torch.cat(joint).mean()),
+            "canonical_median": float(torch.cat(joint).median()),
+            "bone_mean": float(torch.cat(bone).mean()),
+            **errors.figures(),
+        }
+
+    def networks(self) -> dict[str, nn.Module]:
+        both: dict[str, nn.Module] = {"pose_net_3d": self.net_3d}
+        return {"pose_net_2d": self.net_2d, **both} if self.along else both
+
+    def parameter_groups(self) -> list[tuple[list[nn.Parameter], float]]:
+        groups = [(list(self.net_3d.parameters()), 1.0)]
+        if self.along:
+            groups.append((list(self.net_2d.parameters()), self.config.optim.along_rate))
+        return groups
+
+
+def build_stage(config: TrainConfig, weights: Sequence[Path] = (), *, require_weights: bool = True) -> Stage:
+    """The stage of a run, with fresh or given weights.
+
+    Args:
+        config: the run.
+        weights: checkpoints to start from. Stage pose_net_3d needs one of PoseNet2D; any stage may be given its own
+            network to go on from. Their shapes must be those of the run.
+        require_weights: False if the caller fills the networks from a saved state afterwards.
+
+    Raises:
+        InputError: PoseNet2D's weights are missing, or shapes differ.
+        CheckpointError: a file is missing, damaged or of a network that this stage does not have.
+    """
+    torch.manual_seed(config.seed)
+    if config.stage == "hand_seg_net":
+        stage: Stage = SegmentationStage(config)
+        known = {"hand_seg_net": stage.net}
+    elif config.stage == "pose_net_2d":
+        stage = Pose2DStage(config)
+        known = {"pose_net_2d": stage.net}
+    else:
+        stage = Pose3DStage(config, PoseNet2D(config.networks.pose_net_2d))
+        known = {"pose_net_2d": stage.net_2d, "pose_net_3d": stage.net_3d}
+    filled: set[str] = set()
+    for path in weights:
+        filled.add(_fill(known, path))
+    if require_weights and config.stage == "pose_net_3d" and "pose_net_2d" not in filled:
+        raise InputError("stage pose_net_3d needs the weights of a trained pose_net_2d (--weights FILE)")
+    return stage
+
+
+def _fill(known: dict[str, nn.Module], path: Path) -> str:
+    """Load a checkpoint into the network of a stage that it belongs to; returns that network's name."""
+    name = network_name(path)
+    if name not in known:
+        name = next(iter(known))  # load_network then says what was expected
+    loaded = load_network(name, path)
+    if loaded.config != known[name].config:
+        raise InputError(f"{path}: {name} has the shape {loaded.config}, but this run asks for {known[name].config}")
+    known[name].load_state_dict(loaded.state_dict())
+    return name

@@ -1,0 +1,343 @@
+"""The training loop: step, validate, save, resume."""
+
+from __future__ import annotations
+
+import copy
+import csv
+import json
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from lightning_fabric import Fabric
+from torch import Tensor, nn
+
+from twohands.errors import CheckpointError, InputError
+from twohands.models.checkpoint import load_tensors, save_network, save_tensors
+from twohands.training.batches import Batch, BatchDataset, SampleSource, batch_loader, validation_batches
+from twohands.training.config import OptimConfig, TrainConfig
+from twohands.training.schedule import learning_rate, progress, update_average
+from twohands.training.stages import Stage, build_stage
+
+STATE_FILE = "state.safetensors"
+CONFIG_FILE = "config.json"
+LOG_FILE = "log.csv"
+LOG_COLUMNS = ("iteration", "minutes", "split", "metric", "value")
+
+
+@dataclass(frozen=True)
+class TrainResult:
+    """How a run ended.
+
+    Attributes:
+        iterations: optimizer steps done, over all resumes.
+        minutes: wall-clock minutes, over all resumes.
+        figures: last validation, empty without held-out pictures.
+        checkpoints: network name -> file with the weights to use (averaged ones if the run averages).
+    """
+
+    iterations: int
+    minutes: float
+    figures: dict[str, float]
+    checkpoints: dict[str, Path]
+
+
+def build_optimizer(stage: Stage, config: OptimConfig) -> torch.optim.Optimizer:
+    """The optimizer of a run; each group keeps its relative learning rate under the key "share".
+
+    AdamW spares vectors (biases, batch normalisation) from weight decay; Adam, as in the paper, does not.
+    """
+    groups: list[dict[str, Any]] = []
+    for parameters, share in stage.parameter_groups():
+        if config.optimizer == "adamw":
+            wide = [p for p in parameters if p.ndim > 1]
+            flat = [p for p in parameters if p.ndim <= 1]
+            groups.append({"params": wide, "share": share, "weight_decay": config.weight_decay})
+            groups.append({"params": flat, "share": share, "weight_decay": 0.0})
+        else:
+            groups.append({"params": parameters, "share": share, "weight_decay": config.weight_decay})
+    if config.optimizer == "sgd":
+        return torch.optim.SGD(groups, lr=config.learning_rate)
+    kind = torch.optim.AdamW if config.optimizer == "adamw" else torch.optim.Adam
+    return kind(groups, lr=config.learning_rate, betas=(0.9, 0.999))
+
+
+@dataclass
+class TrainState:
+    """All that changes during a run: what a resume needs."""
+
+    stage: Stage
+    average: Stage | None
+    optimizer: torch.optim.Optimizer
+    iteration: int = 0
+    elapsed_s: float = 0.0
+
+    @property
+    def best(self) -> Stage:
+        """The stage to validate and to export."""
+        return self.stage if self.average is None else self.average
+
+    def save(self, path: Path, config: TrainConfig) -> None:
+        """Write one safetensors file, atomically."""
+        tensors = {f"stage.{name}": tensor for name, tensor in self.stage.state_dict().items()}
+        if self.average is not None:
+            tensors |= {f"average.{name}": tensor for name, tensor in self.average.state_dict().items()}
+        for index, entries in self.optimizer.state_dict()["state"].items():
+            tensors |= {f"optimizer.{index}.{name}": value for name, value in entries.items() if value is not None}
+        header = {"iteration": self.iteration, "elapsed_s": self.elapsed_s, "config": config.to_dict()}
+        save_tensors(tensors, {"format": "twohands-training-state-1", "state": json.dumps(header)}, path)
+
+    def restore(self, path: Path) -> None:
+        """Continue from a written file.
+
+        Raises:
+            CheckpointError: missing, damaged, or of a run with other networks.
+        """
+        tensors, metadata = load_tensors(path)
+        if "state" not in metadata:
+            raise CheckpointError(f"{path} is not a saved training state")
+        header = json.loads(metadata["state"])
+        try:
+            self.stage.load_state_dict(_below("stage.", tensors))
+            if self.average is not None:
+                self.average.load_state_dict(_below("average.", tensors))
+        except RuntimeError as error:
+            raise CheckpointError(f"{path}: saved by a run with other networks: {str(error).splitlines()[0]}") from error
+        entries: dict[int, dict[str, Tensor]] = {}
+        for name, tensor in _below("optimizer.", tensors).items():
+            index, key = name.split(".", 1)
+            entries.setdefault(int(index), {})[key] = tensor
+        groups = self.optimizer.state_dict()["param_groups"]
+        self.optimizer.load_state_dict({"state": entries, "param_groups": groups})
+        for parameter, values in self.optimizer.state.items():  # same memory layout, else other rounding
+            for key, value in values.items():
+                if value.shape == parameter.shape:
+                    values[key] = torch.empty_like(parameter).copy_(value)
+        self.iteration, self.elapsed_s = int(header["iteration"]), float(header["elapsed_s"])
+
+
+def train(
+    config: TrainConfig,
+    source: SampleSource,
+    held_out: SampleSource,
+    out: Path,
+    *,
+    weights: Sequence[Path] = (),
+    resume: bool = False,
+    report: Callable[[str], None] = lambda line: None,
+    stop_after: int | None = None,
+) -> TrainResult:
+    """Train one stage until its budget of iterations or minutes is used up.
+
+    The folder holds `config.json`, `log.csv` (iteration, minutes, split, metric, value), the resumable
+    `state.safetensors`, and one `<network>.safetensors` per trained network.
+
+    On one CPU process without a limit of minutes, a run that was interrupted and resumed ends bitwise like one that was not.
+
+    Args:
+        config: the run.
+        source: training pictures.
+        held_out: pictures for validation; may be empty.
+        out: folder of the run.
+        weights: checkpoints to start from, see `build_stage`; not used when resuming.
+        resume: continue the run in `out`, under the given config.
+        report: gets one line of progress now and then.
+        stop_after: leave, with everything saved, when this many iterations are done.
+
+    Raises:
+        InputError: `out` holds another run, or `resume` finds none.
+        KeyboardInterrupt: after the state was saved.
+    """
+    state_path = out / STATE_FILE
+    if resume and not state_path.is_file():
+        raise InputError(f"{out} holds no training run to resume")
+    if not resume and (out / CONFIG_FILE).exists():
+        raise InputError(f"{out} already holds a training run; choose another folder, or resume it")
+    out.mkdir(parents=True, exist_ok=True)
+    if config.threads:
+        torch.set_num_threads(config.threads)
+
+    fabric = Fabric(precision=config.precision)
+    fabric.launch()
+    state = _start(config, weights, resume)
+    model, optimizer = fabric.setup(state.stage, state.optimizer)
+    if state.average is not None:
+        state.average.to(fabric.device)
+    if resume:
+        state.restore(state_path)
+        _cut_log(out / LOG_FILE, state.iteration)
+    _write_text(out / CONFIG_FILE, json.dumps(config.to_dict(), indent=2) + "\n")
+
+    batches = BatchDataset(source, config, fabric.global_rank, fabric.world_size)
+    held_out_batches = validation_batches(held_out, config) if fabric.is_global_zero else []
+    log = _Log(out / LOG_FILE, report) if fabric.is_global_zero else None
+    figures: dict[str, float] = {}
+    clock, saved = time.monotonic() - state.elapsed_s, time.monotonic()
+    running: dict[str, float] = {}
+
+    def keep() -> None:
+        if fabric.is_global_zero:
+            state.save(state_path, config)
+            _save_networks(state, config, out, figures)
+
+    def check() -> None:
+        if log is not None and held_out_batches:
+            figures.update(_validate(fabric, state.best, held_out_batches))
+            log.write(state, "validation", figures)
+
+    with _StopSignal() as stop:
+        for batch in batch_loader(batches, state.iteration):
+            done = progress(config, state.iteration, state.elapsed_s)
+            if done >= 1 or state.iteration == stop_after or stop.asked:
+                break
+            if batch:
+                rate = learning_rate(config.optim, state.iteration, done)
+                values = _step(fabric, model, optimizer, fabric.to_device(batch), state.iteration, rate, config.optim)
+                for name, value in values.items():
+                    running[name] = running.get(name, 0.0) + value
+                running["batches"] = running.get("batches", 0.0) + 1
+                if state.average is not None:
+                    update_average(state.average, state.stage, config.optim.ema, state.iteration)
+            state.iteration += 1
+            state.elapsed_s = time.monotonic() - clock
+            if log is not None and state.iteration % config.log_every == 0 and running:
+                count = running.pop("batches", 0.0) or 1.0
+                log.write(state, "train", {name: value / count for name, value in running.items()})
+                running = {}
+            if state.iteration % config.validate_every == 0:
+                check()
+            if time.monotonic() - saved > 60 * config.checkpoint_minutes:
+                keep()
+                saved = time.monotonic()
+        if not stop.asked:
+            check()
+        keep()
+    if stop.asked:
+        raise KeyboardInterrupt
+    files = {name: out / f"{name}.safetensors" for name in state.best.networks()}
+    return TrainResult(state.iteration, state.elapsed_s / 60, figures, files)
+
+
+class _StopSignal:
+    """While active, an interrupt or a request to end is only noted, so that the running step can be finished."""
+
+    def __init__(self) -> None:
+        self.asked = False
+        self._previous: dict[int, Any] = {}
+
+    def __enter__(self) -> _StopSignal:
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                self._previous[number] = signal.signal(number, self._note)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)
+
+    def _note(self, *_: object) -> None:
+        self.asked = True
+
+
+def _start(config: TrainConfig, weights: Sequence[Path], resume: bool) -> TrainState:
+    """Networks, averaged networks and optimizer, before any step."""
+    stage = build_stage(config, weights, require_weights=not resume)
+    stage = stage.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    average = None
+    if config.optim.ema:
+        average = copy.deepcopy(stage).requires_grad_(False).eval()
+    return TrainState(stage, average, build_optimizer(stage, config.optim))
+
+
+def _step(
+    fabric: Fabric,
+    model: nn.Module,
+    optimizer: torch.optim.Optimizer,
+    batch: Batch,
+    iteration: int,
+    rate: float,
+    config: OptimConfig,
+) -> dict[str, float]:
+    """One optimizer step; returns the losses and their sum."""
+    for group in optimizer.param_groups:
+        group["lr"] = rate * group["share"]
+    model.train()
+    optimizer.zero_grad(set_to_none=True)
+    parts = model(batch, iteration)
+    total = torch.stack(list(parts.values())).sum()
+    if not torch.isfinite(total):
+        named = ", ".join(f"{name} {float(value):g}" for name, value in parts.items())
+        raise InputError(f"the loss is not finite at iteration {iteration} ({named}); lower the learning rate")
+    fabric.backward(total)
+    if config.clip:
+        fabric.clip_gradients(model, optimizer, max_norm=config.clip, error_if_nonfinite=False)
+    optimizer.step()
+    return {"loss": total.item(), **{name: value.item() for name, value in parts.items()}}
+
+
+@torch.no_grad()
+def _validate(fabric: Fabric, stage: Stage, batches: Sequence[Batch]) -> dict[str, float]:
+    was_training = stage.training
+    stage.eval()
+    with fabric.autocast():
+        figures = stage.validate([fabric.to_device(batch) for batch in batches])
+    stage.train(was_training)
+    return figures
+
+
+def _save_networks(state: TrainState, config: TrainConfig, out: Path, figures: dict[str, float]) -> None:
+    note = {
+        "recipe": config.recipe,
+        "stage": config.stage,
+        "seed": config.seed,
+        "iterations": state.iteration,
+        "minutes": round(state.elapsed_s / 60, 2),
+        "data": config.to_dict()["data"],
+        "crop": config.to_dict()["crop"],
+        "validation": figures,
+    }
+    for name, network in state.best.networks().items():
+        save_network(name, network, out / f"{name}.safetensors", note=note)
+
+
+class _Log:
+    """Appends rows to the log and reports one line per entry."""
+
+    def __init__(self, path: Path, report: Callable[[str], None]) -> None:
+        self.path, self.report = path, report
+        if not path.exists():
+            _write_text(path, ",".join(LOG_COLUMNS) + "\n")
+
+    def write(self, state: TrainState, split: str, values: dict[str, float]) -> None:
+        minutes = f"{state.elapsed_s / 60:.3f}"
+        with self.path.open("a", newline="", encoding="utf-8") as file:
+            rows = csv.writer(file)
+            for name, value in values.items():
+                rows.writerow([state.iteration, minutes, split, name, f"{value:.6g}"])
+        shown = "  ".join(f"{name} {value:.4g}" for name, value in values.items())
+        self.report(f"{state.iteration:>7}  {float(minutes):7.2f} min  {split:<10}  {shown}")
+
+
+def _cut_log(path: Path, iteration: int) -> None:
+    """Drop rows written after the state that a resume starts from."""
+    if not path.exists():
+        return
+    header, *rows = path.read_text(encoding="utf-8").splitlines()
+    kept = [row for row in rows if int(row.split(",", 1)[0]) <= iteration]
+    _write_text(path, "\n".join([header, *kept]) + "\n")
+
+
+def _below(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
+    return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
+
+
+def _write_text(path: Path, text: str) -> None:
+    partial = path.with_name(path.name + ".partial")
+    partial.write_text(text, encoding="utf-8")
+    os.replace(partial, path)
