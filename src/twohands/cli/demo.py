@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
+from typing import Annotated
+
+import tyro
 
 from twohands.cli.output import check_output_folder
 from twohands.cli.track import Picture, print_table, track_pictures
@@ -19,9 +22,9 @@ from twohands.inference.weights import DEFAULT_PRESET
 class DemoArgs:
     """Arguments of `twohands demo`."""
 
-    out: Path = Path("out/demo")
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")] = Path("out/demo")
     """Folder for the results; earlier results of the demo there are replaced."""
-    weights: str = DEFAULT_PRESET
+    weights: Annotated[str, tyro.conf.arg(metavar="NAME")] = DEFAULT_PRESET
     """Preset that ships with the package, or a weights folder."""
 
 

@@ -32,25 +32,30 @@ DEFAULT_FOV_DEG = 60.0
 PLAUSIBLE_HAND_LENGTH_CM = (4.0, 15.0)
 
 
+def option(metavar: str) -> Any:
+    """An option that need not be given; its help text says what happens then."""
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint="")
+
+
 @dataclass(frozen=True)
 class TrackArgs:
     """Arguments of `twohands track`."""
 
     input: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="INPUT")]
     """Image (PNG, JPEG, WebP, BMP) or folder of images."""
-    out: Path | None = None
-    """Folder for the results; default out/track/<name of the input>."""
-    camera: Path | None = None
+    out: Annotated[Path | None, option("DIR")] = None
+    """Folder for the results; out/track/NAME-OF-INPUT if not given."""
+    camera: Annotated[Path | None, option("FILE")] = None
     """Camera file: JSON with fx, fy, cx, cy, width, height[, distortion], or the YAML of OpenCV's calibration."""
-    fov: float | None = None
-    """Horizontal field of view in degrees, where no camera file is known; default 60."""
-    hand_length: float | None = None
-    """From wrist to middle knuckle in cm; ranges scale with it; default 10."""
-    weights: str = DEFAULT_PRESET
+    fov: Annotated[float | None, option("DEG")] = None
+    """Horizontal field of view, where there is no camera file; 60 if not given."""
+    hand_length: Annotated[float | None, option("CM")] = None
+    """From wrist to middle knuckle; ranges scale with it; 10 if not given."""
+    weights: Annotated[str, tyro.conf.arg(metavar="NAME")] = DEFAULT_PRESET
     """Preset that ships with the package, or a weights folder."""
-    json: bool = False
+    json: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
     """Print hands.json instead of the table."""
-    overwrite: bool = False
+    overwrite: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
     """Write into a folder that already holds something."""
 
 
@@ -80,10 +85,11 @@ def run(args: TrackArgs) -> int:
     pictures = _readable(files, camera, args.fov) if folder else [_open(args.input, 0, camera, args.fov)]
     out = args.out or Path("out") / "track" / (args.input.resolve().name if folder else args.input.stem)
     check_output_folder(out, overwrite=args.overwrite)
+    estimator = HandEstimator.from_preset(args.weights)
     _say_assumptions(args)
     record = track_pictures(
         pictures,
-        HandEstimator.from_preset(args.weights),
+        estimator,
         hand_length_m=hand_length_m,
         out=out,
         names=_result_names(files),
@@ -168,14 +174,11 @@ def _cell(value: float | None, factor: float = 1.0, digits: int = 1) -> str:
 
 
 def _hand_length_m(length_cm: float | None) -> float:
-    """The hand length in metres, checked; a doubtful one is remarked upon."""
+    """The hand length in metres, checked."""
     if length_cm is None:
         return DEFAULT_HAND_LENGTH_M
     if not (math.isfinite(length_cm) and length_cm > 0):
         raise InputError(f"--hand-length must be a positive number of cm, got {length_cm}")
-    low, high = PLAUSIBLE_HAND_LENGTH_CM
-    if not low <= length_cm <= high:
-        _say(f"a hand length of {length_cm:g} cm is unusual; from wrist to middle knuckle it is {low:g} to {high:g} cm")
     return length_cm / 100
 
 
@@ -189,10 +192,17 @@ def _camera(args: TrackArgs) -> PinholeCamera | None:
 
 
 def _say_assumptions(args: TrackArgs) -> None:
+    """Name what was assumed, and what was given but is hard to believe."""
     if args.camera is None and args.fov is None:
         _say(
             f"no camera given: assuming a horizontal field of view of {DEFAULT_FOV_DEG:g} degrees; "
             "ranges depend on it (--camera FILE or --fov DEG)"
+        )
+    low, high = PLAUSIBLE_HAND_LENGTH_CM
+    if args.hand_length is not None and not low <= args.hand_length <= high:
+        _say(
+            f"a hand length of {args.hand_length:g} cm is unusual; "
+            f"from wrist to middle knuckle it is {low:g} to {high:g} cm"
         )
     if args.hand_length is None:
         _say(

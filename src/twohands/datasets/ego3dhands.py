@@ -224,7 +224,8 @@ def _read_array(path: Path) -> np.ndarray:
 
 
 def _instance_folders(root: Path) -> Iterator[Path]:
-    for folder, _, files in os.walk(root, followlinks=True):
+    for folder, subfolders, files in os.walk(root, followlinks=True):
+        subfolders[:] = [name for name in subfolders if not name.startswith(".")]  # half-written instances
         if fmt.JOINTS_2D_FILE in files:
             yield Path(folder)
 

@@ -167,7 +167,8 @@ def segmentation_target(
 
 
 def _zoomed(image, classes, boxes, present, config: ZoomConfig, rng: np.random.Generator):
-    """Scale about the centre, shift, perhaps flip (swapping left and right); black and background outside."""
+    """Scale about the centre, shift, perhaps flip (swapping left and right); the border goes on outside, so that arms
+    that leave the picture are not cut off."""
     height, width = classes.shape
     scale = 2.0 ** rng.uniform(-config.zoom, config.zoom)
     shift = rng.uniform(-config.shift, config.shift, 2) * [width, height]
@@ -179,14 +180,15 @@ def _zoomed(image, classes, boxes, present, config: ZoomConfig, rng: np.random.G
         matrix[0] = [-scale, 0, width - offset[0]]
     centred = matrix.copy()
     centred[:, 2] += matrix[:, :2] @ [0.5, 0.5] - 0.5  # cv2 counts from the first pixel's centre
-    image = cv2.warpAffine(image, centred, (width, height), flags=cv2.INTER_LINEAR)
-    classes = cv2.warpAffine(classes, centred, (width, height), flags=cv2.INTER_NEAREST)
+    edge = cv2.BORDER_REPLICATE
+    image = cv2.warpAffine(image, centred, (width, height), flags=cv2.INTER_LINEAR, borderMode=edge)
+    classes = cv2.warpAffine(classes, centred, (width, height), flags=cv2.INTER_NEAREST, borderMode=edge)
     corners = boxes.reshape(2, 2, 2) * np.diag(matrix[:, :2]) + matrix[:, 2]
     boxes = np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1)
     boxes = np.clip(boxes, 0, [width, height, width, height])
     present = present & (np.minimum(boxes[:, 2] - boxes[:, 0], boxes[:, 3] - boxes[:, 1]) >= 2)
     if flip:
-        classes = np.array([0, 2, 1], np.uint8)[classes]
+        classes = np.array([0, 2, 1], np.uint8)[np.asarray(classes, np.uint8)]
         boxes, present = boxes[::-1], present[::-1]
     return image, classes, np.where(present[:, None], boxes, 0.0), present
 

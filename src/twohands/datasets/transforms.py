@@ -44,7 +44,7 @@ class MaskConfig:
     coarse: float = 0.0
     """Probability that borders are as rough as if predicted at a third of the crop's size."""
     border: float = 0.0
-    """Largest growth or shrinkage of the border, as a fraction of the crop's side."""
+    """Largest growth of the border as a fraction of the crop's side; it shrinks by half of that, to keep fingers."""
     holes: float = 0.0
     """Probability that a piece of the primary hand is missing."""
     spill: float = 0.0
@@ -128,11 +128,12 @@ def spoil_masks(classes: np.ndarray, arm: np.ndarray, side: int, config: MaskCon
             cut[rows[keep], cols[keep]] = False
         out[cut] = 0
     if config.border:
-        radius = round(abs(rng.uniform(-1, 1)) * config.border * size)
+        grows = rng.random() < 0.6
+        radius = round(rng.uniform(0, 1 if grows else 0.5) * config.border * size)
         if radius:
             kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
             hand = (out == primary).astype(np.uint8)
-            changed = cv2.dilate(hand, kernel) if rng.random() < 0.6 else cv2.erode(hand, kernel)
+            changed = cv2.dilate(hand, kernel) if grows else cv2.erode(hand, kernel)
             out[(changed == 0) & (out == primary)] = 0
             out[(changed == 1) & (out == 0)] = primary
     if rng.random() < config.holes:

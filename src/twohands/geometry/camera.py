@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from twohands.geometry._arrays import float_arrays
 from twohands.types import Array, PinholeCamera
 
@@ -28,7 +30,8 @@ def unproject(points_px: Array, camera: PinholeCamera) -> Array:
     x = (points_px[..., 0] - camera.cx) / camera.fx
     y = (points_px[..., 1] - camera.cy) / camera.fy
     if any(camera.distortion):
-        x, y = _undistort(xp, x, y, camera.distortion)
+        with np.errstate(all="ignore"):  # outside the lens model the iteration may run away; the answer is then NaN
+            x, y = _undistort(xp, x, y, camera.distortion)
     return xp.stack([x, y, xp.ones_like(x)], axis=-1)
 
 
@@ -49,7 +52,8 @@ def project(points_cam: Array, camera: PinholeCamera, *, distort: bool = False) 
     xy = xp.where(in_front[..., None], points_cam[..., :2] / depth[..., None], xp.nan)
     x, y = xy[..., 0], xy[..., 1]
     if distort and any(camera.distortion):
-        x, y, _, _, _ = _distort(x, y, camera.distortion)
+        with np.errstate(all="ignore"):  # points far outside the field of view may overflow
+            x, y, _, _, _ = _distort(x, y, camera.distortion)
     return xp.stack([x * camera.fx + camera.cx, y * camera.fy + camera.cy], axis=-1)
 
 
@@ -81,22 +85,18 @@ def _undistort(xp: Any, xd: Array, yd: Array, coefficients: tuple[float, ...]) -
     OpenCV's own inverse is a fixed-point iteration that stops early and has no gradient. NaN where the iteration does
     not arrive, or arrives beyond the radius at which the lens model folds back.
     """
+    finite = xp.isfinite(xd) & xp.isfinite(yd)
+    xd, yd = xp.where(finite, xd, 0.0), xp.where(finite, yd, 0.0)  # NaN in the iteration would spoil gradients
     x, y = xd, yd
     for _ in range(_NEWTON_STEPS):
-        x, y = _newton_step(xp, x, y, xd, yd, coefficients)
-    again_x, again_y, xx, xy, yy = _distort(x, y, coefficients)
-    tolerance = 1e3 * xp.finfo(xd.dtype).eps * (1 + xp.abs(xd) + xp.abs(yd))
-    arrived = (xp.abs(again_x - xd) + xp.abs(again_y - yd) < tolerance) & (xx * yy - xy * xy > 0) & (xx + yy > 0)
-    return xp.where(arrived, x, xp.nan), xp.where(arrived, y, xp.nan)
-
-
-def _newton_step(xp: Any, x: Array, y: Array, xd: Array, yd: Array, coefficients: tuple[float, ...]) -> tuple[Any, Any]:
+        now_x, now_y, xx, xy, yy = _distort(x, y, coefficients)
+        determinant = xx * yy - xy * xy
+        determinant = xp.where(xp.abs(determinant) > 1e-12, determinant, 1.0)
+        error_x, error_y = now_x - xd, now_y - yd
+        x = x - (yy * error_x - xy * error_y) / determinant
+        y = y - (xx * error_y - xy * error_x) / determinant
     now_x, now_y, xx, xy, yy = _distort(x, y, coefficients)
-    determinant = xx * yy - xy * xy
-    usable = xp.abs(determinant) > 1e-12
-    determinant = xp.where(usable, determinant, xp.ones_like(determinant))
-    error_x, error_y = now_x - xd, now_y - yd
-    return (
-        xp.where(usable, x - (yy * error_x - xy * error_y) / determinant, xp.nan),
-        xp.where(usable, y - (xx * error_y - xy * error_x) / determinant, xp.nan),
-    )
+    tolerance = 1e3 * xp.finfo(xd.dtype).eps * (1 + xp.abs(xd) + xp.abs(yd))
+    arrived = xp.abs(now_x - xd) + xp.abs(now_y - yd) < tolerance
+    arrived = finite & arrived & (xx * yy - xy * xy > 0) & (xx + yy > 0)  # and the model still grows outwards there
+    return xp.where(arrived, x, xp.nan), xp.where(arrived, y, xp.nan)

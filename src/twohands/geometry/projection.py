@@ -78,7 +78,7 @@ def project_global(
         # Unknown values are replaced, not skipped: gradients of the other hands in the batch stay clean.
         pose = _finite_or(xp, canonical, 0.0)
         scale = _finite_or(xp, length, 1.0)[..., None]
-        known, rays, theta, phi = _centred_rays(xp, _rays(xp, joints_px, camera), angles)
+        known, rays, theta, phi = _centred_rays(xp, unproject(joints_px, camera), angles)
         slopes, in_front = _slopes(xp, rays)
         key_bone, key_joint = _key_joint(xp, joints_px)
 
@@ -141,7 +141,7 @@ def consistent_joints_px(
     return project(pose.joints_m, camera, distort=True)
 
 
-def canonical_xy_from_rays(rays: Array, distance: Array | float, z: Array) -> Array:
+def canonical_xy_from_rays(rays: Array, distance: Array, z: Array) -> Array:
     """2D joints brought into the canonical frame, with the depth of each taken as known: the target of L_proj.
 
     Args:
@@ -161,13 +161,6 @@ def canonical_xy_from_rays(rays: Array, distance: Array | float, z: Array) -> Ar
     slopes, in_front = _slopes(xp, rays)
     xy = slopes * (distance[..., None] + z)[..., None]
     return xp.where((known & in_front & known[..., ROOT : ROOT + 1])[..., None], xy, xp.nan)
-
-
-def _rays(xp: Any, joints_px: Array, camera: PinholeCamera) -> Any:
-    """`unproject`, with clean gradients for the known pixels: unknown ones stay out of the lens model."""
-    finite = xp.all(xp.isfinite(joints_px), axis=-1)[..., None]
-    rays = unproject(xp.where(finite, joints_px, xp.zeros_like(joints_px) + camera.cx), camera)
-    return xp.where(finite, rays, xp.nan)
 
 
 def _centred_rays(xp: Any, rays: Array, angles: Angles) -> tuple[Any, Any, Any, Any]:

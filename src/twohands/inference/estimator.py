@@ -79,7 +79,8 @@ class HandEstimator:
             CheckpointError: the weights are missing, damaged, or of other networks.
         """
         folder = preset_folder(preset)
-        return cls(load_networks(folder), read_card(folder))
+        card = read_card(folder)
+        return cls(load_networks(folder), card)
 
     def estimate(
         self,

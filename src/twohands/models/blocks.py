@@ -115,3 +115,11 @@ def initialise(module: nn.Module) -> None:
             nn.init.kaiming_normal_(child.weight, nonlinearity="relu")
             if child.bias is not None:
                 nn.init.zeros_(child.bias)
+
+
+def calm_output(layer: nn.Conv2d | nn.Linear) -> None:
+    """Small weights for an output layer, so that a fresh network answers about its bias.
+
+    Kaiming's scale keeps activations alive between layers; at the output it only means large errors to unlearn.
+    """
+    nn.init.normal_(layer.weight, std=0.01)

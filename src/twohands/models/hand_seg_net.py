@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from twohands.errors import InputError
-from twohands.models.blocks import Bottleneck, DeconvBottleneck, conv_bn_relu, initialise, scaled
+from twohands.models.blocks import Bottleneck, DeconvBottleneck, calm_output, conv_bn_relu, initialise, scaled
 
 DOWN_PLANES = (64, 128, 256, 512)
 UP_PLANES = (256, 128, 64, 32)
@@ -34,7 +34,7 @@ class HandSegNetConfig:
         for name in ("height", "width_px"):
             if getattr(self, name) <= 0 or getattr(self, name) % 32:
                 raise InputError(f"hand_seg_net: {name} must be a positive multiple of 32, got {getattr(self, name)}")
-        if self.width <= 0:
+        if not self.width > 0:
             raise InputError(f"hand_seg_net: width must be positive, got {self.width}")
         if self.output_stride not in (1, 2):
             raise InputError(f"hand_seg_net: output_stride must be 1 or 2, got {self.output_stride}")
@@ -85,6 +85,8 @@ class HandSegNet(nn.Module):
         self.segmentation = nn.Conv2d(channels, 3, 1)
         self.energy = nn.Conv2d(channels, 2, 1)
         initialise(self)
+        calm_output(self.segmentation)
+        calm_output(self.energy)
 
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Logits of masks and energies.

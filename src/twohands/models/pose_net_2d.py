@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from twohands.errors import InputError
-from twohands.models.blocks import BasicBlock, conv_bn_relu, initialise, scaled
+from twohands.models.blocks import BasicBlock, calm_output, conv_bn_relu, initialise, scaled
 from twohands.skeleton import N_JOINTS
 
 MAP_SIZE = 32
@@ -48,7 +49,7 @@ class PoseNet2DConfig:
             raise InputError(f"pose_net_2d: {self.variant} needs crop_size {expected}, got {self.crop_size}")
         if self.stages < 1 or (self.variant == "encoder-decoder" and self.stages != 1):
             raise InputError(f"pose_net_2d: {self.variant} cannot have {self.stages} stages")
-        if self.width <= 0 or self.sigma <= 0:
+        if not (self.width > 0 and self.sigma > 0):
             raise InputError(f"pose_net_2d: width and sigma must be positive, got {self.width} and {self.sigma}")
 
 
@@ -127,7 +128,7 @@ class EncoderDecoder(nn.Module):
         self.stem = nn.Sequential(conv_bn_relu(3, c0, 5, stride=2), conv_bn_relu(c0, c1, 3, stride=2))
         sizes = (c1, c2, c3, c4)  # at 32, 16, 8 and 4 cells
         self.down = nn.ModuleList([nn.Sequential(BasicBlock(c1, c1), BasicBlock(c1, c1))])
-        for inputs, outputs in zip(sizes, sizes[1:], strict=False):
+        for inputs, outputs in itertools.pairwise(sizes):
             self.down.append(nn.Sequential(BasicBlock(inputs, outputs, 2), BasicBlock(outputs, outputs)))
         self.lateral, self.up = nn.ModuleList(), nn.ModuleList()
         for inputs, outputs in zip(sizes[:0:-1], sizes[-2::-1], strict=True):
@@ -156,9 +157,9 @@ class PoseNet2D(nn.Module):
         self.config = config
         self.net = EncoderDecoder(config) if config.variant == "encoder-decoder" else PoseMachine(config)
         initialise(self)
-        if config.activation == "softmax":  # start near the uniform distribution
-            for head in [m for m in self.modules() if isinstance(m, nn.Conv2d) and m.out_channels == N_JOINTS]:
-                nn.init.normal_(head.weight, std=0.01)
+        for layer in self.modules():
+            if isinstance(layer, nn.Conv2d) and layer.out_channels == N_JOINTS:
+                calm_output(layer)
 
     def forward(self, x: Tensor) -> list[Tensor]:
         """Raw maps, one per stage, the last the best.

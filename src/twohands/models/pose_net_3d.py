@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from twohands.errors import InputError
-from twohands.models.blocks import BasicBlock, conv_bn_relu, initialise, scaled
+from twohands.models.blocks import BasicBlock, calm_output, conv_bn_relu, initialise, scaled
 from twohands.skeleton import N_JOINTS, ROOT
 
 
@@ -22,7 +22,7 @@ class PoseNet3DConfig:
     """ReLU between the fully connected layers; the authors' later code has none."""
 
     def __post_init__(self) -> None:
-        if self.width <= 0:
+        if not self.width > 0:
             raise InputError(f"pose_net_3d: width must be positive, got {self.width}")
 
 
@@ -46,14 +46,12 @@ class PoseNet3D(nn.Module):
             channels = size
         self.features = nn.Sequential(*layers)
         between = nn.ReLU if config.fc_relu else nn.Identity
+        output = nn.Linear(channels, 3 * N_JOINTS)
         self.regressor = nn.Sequential(
-            nn.Linear(channels, channels), between(), nn.Linear(channels, channels), between(),
-            nn.Linear(channels, 3 * N_JOINTS),
-        )  # fmt: skip
+            nn.Linear(channels, channels), between(), nn.Linear(channels, channels), between(), output
+        )
         initialise(self)
-        for layer in self.regressor:  # Kaiming's factor 2 belongs to ReLU; without one it would inflate the output
-            if isinstance(layer, nn.Linear) and not config.fc_relu:
-                nn.init.kaiming_normal_(layer.weight, nonlinearity="linear")
+        calm_output(output)
 
     def forward(self, heatmaps: Tensor) -> Tensor:
         """Canonical pose of a left-like hand.

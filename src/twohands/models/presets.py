@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from torch import nn
@@ -36,9 +36,9 @@ NETWORKS: dict[str, NetworkKind] = {
 class NetworkConfigs:
     """Shapes of the three networks of one preset."""
 
-    hand_seg_net: HandSegNetConfig = HandSegNetConfig()
-    pose_net_2d: PoseNet2DConfig = PoseNet2DConfig()
-    pose_net_3d: PoseNet3DConfig = PoseNet3DConfig()
+    hand_seg_net: HandSegNetConfig = field(default_factory=HandSegNetConfig)
+    pose_net_2d: PoseNet2DConfig = field(default_factory=PoseNet2DConfig)
+    pose_net_3d: PoseNet3DConfig = field(default_factory=PoseNet3DConfig)
 
 
 PAPER = NetworkConfigs()

@@ -97,6 +97,32 @@ def _render_chunk(job: tuple[Path, SynthConfig, int, int, np.ndarray]) -> int:
     return len(indices)
 
 
+def vary_arms(rgb: np.ndarray, labels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Lights each arm anew: a random exposure, contrast and tint per arm, as lamps at different places give.
+
+    Args:
+        rgb: (H, W, 3) uint8.
+        labels: (H, W) uint8 part labels, 1..7 left, 8..14 right.
+        rng: one draw per arm.
+
+    Returns:
+        A varied copy, (H, W, 3) uint8.
+    """
+    tables = np.empty((3, 256, 3), np.uint8)
+    tables[0] = np.arange(256)[:, None]
+    for side in (0, 1):
+        gain = np.exp(rng.normal(0.08, 0.28) + rng.normal(0, 0.07, 3))
+        gamma = np.exp(rng.normal(0, 0.15))
+        tables[1 + side] = np.clip(255 * (np.arange(256)[:, None] / 255) ** gamma * gain, 0, 255)
+    out = rgb.copy()
+    for side in (0, 1):
+        mask = (labels >= 1 + 7 * side) & (labels <= 7 + 7 * side)
+        if mask.any():
+            pixels = rgb[mask]
+            out[mask] = np.stack([tables[1 + side][pixels[:, c], c] for c in range(3)], axis=1)
+    return out
+
+
 class FrameCache:
     """Reads a cache as labelled samples, every frame `variants` times over with different backgrounds.
 
@@ -105,6 +131,7 @@ class FrameCache:
         backgrounds: source of backgrounds; procedural if None.
         frames: (start, stop) of the frames to use, to split training from validation; all if None.
         variants: how many samples one frame gives.
+        empty_rate: share of samples that show the background alone, so that a network learns what no hand looks like.
 
     Raises:
         DataFormatError: the folder holds no finished cache.
@@ -116,6 +143,7 @@ class FrameCache:
         backgrounds: Backgrounds | None = None,
         frames: tuple[int, int] | None = None,
         variants: int = 1,
+        empty_rate: float = 0.0,
     ) -> None:
         try:
             manifest = json.loads((folder / "manifest.json").read_text())
@@ -130,11 +158,16 @@ class FrameCache:
         if not done[start:stop].all():
             raise DataFormatError(f"frame cache {folder} is not finished: build it again to go on")
         self.indices = range(start, stop)
-        self.variants = variants
+        self.variants, self.empty_rate = variants, empty_rate
         self.backgrounds = backgrounds or ProceduralBackgrounds()
         self.name = f"{folder.name} frames {start}..{stop}"
         height, width = self._arrays["labels"].shape[1:]
         self.camera = PinholeCamera.ego3dhands(width, height)
+
+    @staticmethod
+    def is_cache(folder: Path) -> bool:
+        """Whether `build_cache` has written to this folder."""
+        return (folder / "manifest.json").is_file() and (folder / "rgba.npy").is_file()
 
     def __len__(self) -> int:
         return len(self.indices) * self.variants
@@ -148,8 +181,15 @@ class FrameCache:
         labels = np.asarray(arrays["labels"][at])
         rng = instance_rng(self.seed, _VARIANT_STREAM + index)
         background = self.backgrounds.sample(rng, self.camera.width, self.camera.height)
+        if rng.random() < self.empty_rate:
+            nothing = np.full((2, 22, 3), np.nan)
+            absent = np.zeros(2, bool)
+            zeros = np.zeros(labels.shape, np.float32)
+            blank = RenderedFrame(background, zeros.astype(np.uint8), zeros, labels * 0, nothing, absent, self.camera)
+            return hand_sample(blank, f"{self.name} #{index}")
+        colour = vary_arms(rgba[..., :3], labels, rng)
         frame = RenderedFrame(
-            rgb=compose(rgba[..., :3], rgba[..., 3], background),
+            rgb=compose(colour, rgba[..., 3], background),
             alpha=rgba[..., 3],
             depth_m=np.zeros(labels.shape, np.float32),
             part_labels=labels,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
@@ -20,6 +20,7 @@ from twohands.training.config import TrainConfig
 from twohands.types import HandSample
 
 Batch = dict[str, Tensor]
+Rngs = Sequence[np.random.Generator]
 
 
 class SampleSource(Protocol):
@@ -47,7 +48,7 @@ class IndexRange:
         return self.source[self.start + index]
 
 
-def segmentation_batch(samples: Sequence[HandSample], config: TrainConfig, rngs: Sequence[np.random.Generator]) -> Batch:
+def segmentation_batch(samples: Sequence[HandSample], config: TrainConfig, rngs: Rngs) -> Batch:
     """Pictures for HandSegNet.
 
     Args:
@@ -74,7 +75,7 @@ def segmentation_batch(samples: Sequence[HandSample], config: TrainConfig, rngs:
     return {name: torch.from_numpy(np.stack([getattr(t, name) for t in targets])) for name in names}
 
 
-def pose_batch(samples: Sequence[HandSample], config: TrainConfig, rngs: Sequence[np.random.Generator]) -> Batch:
+def pose_batch(samples: Sequence[HandSample], config: TrainConfig, rngs: Rngs) -> Batch:
     """Crops for PoseNet2D and PoseNet3D: every usable hand of the pictures.
 
     Args:
@@ -109,7 +110,7 @@ def pose_batch(samples: Sequence[HandSample], config: TrainConfig, rngs: Sequenc
     return batch
 
 
-def build_batch(samples: Sequence[HandSample], config: TrainConfig, rngs: Sequence[np.random.Generator]) -> Batch:
+def build_batch(samples: Sequence[HandSample], config: TrainConfig, rngs: Rngs) -> Batch:
     """The batch that the configured stage needs."""
     return (segmentation_batch if config.stage == "hand_seg_net" else pose_batch)(samples, config, rngs)
 
@@ -197,5 +198,5 @@ def _calm_worker(_: int) -> None:
     torch.set_num_threads(1)
 
 
-def _unchanged(batch: Batch) -> Batch:
+def _unchanged(batch: Any) -> Any:
     return batch

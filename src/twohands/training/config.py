@@ -27,6 +27,10 @@ class DataConfig:
     """Pictures held out, from the end of the source, at most a tenth of it."""
     seed: int = 0
     """Seed of sources that make their pictures."""
+    backgrounds: str = ""
+    """Folder of photographs to put behind rendered hands; procedural backgrounds if empty."""
+    variants: int = 20
+    """Pictures per cached frame, each with its own background and light."""
     workers: int = 1
     """Processes that prepare batches; 0 prepares them in the training process. The result is the same."""
 
@@ -35,11 +39,11 @@ class DataConfig:
 class AugmentConfig:
     """Random changes during training; validation sees none."""
 
-    photometric: PhotometricConfig = PhotometricConfig()
+    photometric: PhotometricConfig = field(default_factory=PhotometricConfig)
     """Colours, blur, noise."""
-    masks: MaskConfig = MaskConfig()
+    masks: MaskConfig = field(default_factory=MaskConfig)
     """Imperfect masks (pose stages)."""
-    zoom: ZoomConfig = ZoomConfig()
+    zoom: ZoomConfig = field(default_factory=ZoomConfig)
     """Scale, shift, flip (segmentation stage)."""
 
 
@@ -123,13 +127,13 @@ class TrainConfig:
     """Iterations between two rows of training losses."""
     networks: NetworkConfigs = PAPER
     """Shapes of the networks."""
-    data: DataConfig = DataConfig()
+    data: DataConfig = field(default_factory=DataConfig)
     """The pictures."""
-    crop: CropConfig = CropConfig()
+    crop: CropConfig = field(default_factory=CropConfig)
     """How hands are cut out."""
-    augment: AugmentConfig = AugmentConfig()
+    augment: AugmentConfig = field(default_factory=AugmentConfig)
     """Random changes."""
-    loss: LossConfig = LossConfig()
+    loss: LossConfig = field(default_factory=LossConfig)
     """Losses."""
     optim: OptimConfig = field(default_factory=OptimConfig)
     """Optimizer."""

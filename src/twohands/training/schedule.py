@@ -43,7 +43,8 @@ def update_average(average: nn.Module, model: nn.Module, decay: float, iteration
     """
     rate = 1 - min(decay, (1 + iteration) / (10 + iteration))
     kept, fresh = average.state_dict(), model.state_dict()
-    floats = [name for name, tensor in kept.items() if tensor.is_floating_point()]
-    torch._foreach_lerp_([kept[name] for name in floats], [fresh[name] for name in floats], rate)
-    for name in kept.keys() - set(floats):
-        kept[name].copy_(fresh[name])
+    for name, tensor in kept.items():
+        if tensor.is_floating_point():
+            tensor.lerp_(fresh[name], rate)
+        else:
+            tensor.copy_(fresh[name])

@@ -10,6 +10,10 @@ from twohands.training.config import DataConfig
 
 SYNTHETIC = "synthetic"
 """Name of the built-in source that renders its pictures on the fly."""
+SYNTHETIC_SIZE = 1_000_000
+"""Instances of the built-in source: more than a run will see."""
+SYNTHETIC_FRAME = (480, 270)
+"""Picture size of the built-in source; the networks' inputs are smaller still."""
 
 
 def open_source(spec: DataConfig) -> tuple[SampleSource, SampleSource]:
@@ -19,37 +23,57 @@ def open_source(spec: DataConfig) -> tuple[SampleSource, SampleSource]:
         spec: `source` is a folder in the Ego3DHands layout, a folder of cached frames, or "synthetic".
 
     Returns:
-        (training, validation); the validation pictures are the last `spec.validation` of the source, at most a tenth.
+        (training, validation); the validation pictures come from the end of the source, at most a tenth of it, and
+        share no frame with the training pictures.
 
     Raises:
         InputError: no such source, or it is empty.
+        DataFormatError: the folder is damaged or not finished.
     """
-    return split(_open(spec), spec.validation)
-
-
-def split(source: SampleSource, validation: int) -> tuple[SampleSource, SampleSource]:
-    """Cut a source in two: everything before, and the last `validation` pictures, at most a tenth of all."""
-    total = len(source)
-    held_out = min(validation, total // 10)
-    return IndexRange(source, 0, total - held_out), IndexRange(source, total - held_out, total)
-
-
-def _open(spec: DataConfig) -> SampleSource:
     if spec.source == SYNTHETIC:
-        from twohands.synth.config import SynthConfig
-        from twohands.synth.stream import SyntheticStream
-
-        return SyntheticStream(SynthConfig(), seed=spec.seed)
+        return split(_synthetic(spec), spec.validation)
     folder = Path(spec.source)
     if not spec.source or not folder.is_dir():
         raise InputError(f"training data '{spec.source}': expected a folder or '{SYNTHETIC}'")
+
     from twohands.synth.cache import FrameCache
 
     if FrameCache.is_cache(folder):
-        return FrameCache(folder)
+        backgrounds = _backgrounds(spec)
+        frames = len(FrameCache(folder).indices)
+        cut = frames - min(spec.validation, frames // 10)
+        return (
+            FrameCache(folder, backgrounds, (0, cut), variants=spec.variants),
+            FrameCache(folder, backgrounds, (cut, frames)),
+        )
+
     from twohands.datasets.ego3dhands import Ego3DHands
 
     dataset = Ego3DHands(folder)
     if len(dataset) == 0:
         raise InputError(f"{folder} holds no pictures: no folder below it has a location_2d.npy")
-    return dataset
+    return split(dataset, spec.validation)
+
+
+def split(source: SampleSource, validation: int) -> tuple[IndexRange, IndexRange]:
+    """Cut a source in two: everything before, and the last `validation` pictures, at most a tenth of all."""
+    total = len(source)
+    cut = total - min(validation, total // 10)
+    return IndexRange(source, 0, cut), IndexRange(source, cut, total)
+
+
+def _synthetic(spec: DataConfig) -> SampleSource:
+    from twohands.synth.config import SynthConfig
+    from twohands.synth.stream import SyntheticStream
+
+    width, height = SYNTHETIC_FRAME
+    return SyntheticStream(SynthConfig(width=width, height=height), spec.seed, SYNTHETIC_SIZE, _backgrounds(spec))
+
+
+def _backgrounds(spec: DataConfig):
+    """The photographs to put behind rendered hands, None for procedural backgrounds."""
+    if not spec.backgrounds:
+        return None
+    from twohands.synth.backgrounds import BackgroundFolder
+
+    return BackgroundFolder(Path(spec.backgrounds))

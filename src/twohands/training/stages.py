@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -287,11 +287,12 @@ def build_stage(config: TrainConfig, weights: Sequence[Path] = (), *, require_we
     return stage
 
 
-def _fill(known: dict[str, nn.Module], path: Path) -> str:
+def _fill(known: Mapping[str, nn.Module], path: Path) -> str:
     """Load a checkpoint into the network of a stage that it belongs to; returns that network's name."""
-    name = network_name(path)
-    if name not in known:
-        name = next(iter(known))  # load_network then says what was expected
+    found = network_name(path)
+    name = (
+        found if found is not None and found in known else next(iter(known))
+    )  # if unknown, load_network says what was expected
     loaded = load_network(name, path)
     if loaded.config != known[name].config:
         raise InputError(f"{path}: {name} has the shape {loaded.config}, but this run asks for {known[name].config}")

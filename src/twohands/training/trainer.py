@@ -108,7 +108,7 @@ class TrainState:
             if self.average is not None:
                 self.average.load_state_dict(_below("average.", tensors))
         except RuntimeError as error:
-            raise CheckpointError(f"{path}: saved by a run with other networks: {str(error).splitlines()[0]}") from error
+            raise CheckpointError(f"{path}: saved by a run with other networks") from error
         entries: dict[int, dict[str, Tensor]] = {}
         for name, tensor in _below("optimizer.", tensors).items():
             index, key = name.split(".", 1)
@@ -138,7 +138,8 @@ def train(
     The folder holds `config.json`, `log.csv` (iteration, minutes, split, metric, value), the resumable
     `state.safetensors`, and one `<network>.safetensors` per trained network.
 
-    On one CPU process without a limit of minutes, a run that was interrupted and resumed ends bitwise like one that was not.
+    On one CPU process without a limit of minutes, a run that was interrupted and resumed ends bitwise like one that was
+    not.
 
     Args:
         config: the run.
@@ -180,6 +181,7 @@ def train(
     figures: dict[str, float] = {}
     clock, saved = time.monotonic() - state.elapsed_s, time.monotonic()
     running: dict[str, float] = {}
+    checked = -1
 
     def keep() -> None:
         if fabric.is_global_zero:
@@ -212,10 +214,11 @@ def train(
                 running = {}
             if state.iteration % config.validate_every == 0:
                 check()
+                checked = state.iteration
             if time.monotonic() - saved > 60 * config.checkpoint_minutes:
                 keep()
                 saved = time.monotonic()
-        if not stop.asked:
+        if not stop.asked and state.iteration != checked:
             check()
         keep()
     if stop.asked:

@@ -1,0 +1,101 @@
+"""Writes rendered instances in the official Ego3DHands layout (SPEC 1.1)."""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from twohands import ego3dhands_format as layout
+from twohands.errors import InputError
+from twohands.geometry.camera import project
+from twohands.geometry.canonical import canonical_from_camera
+from twohands.geometry.rotation import centring_angles, rotation_from_angles
+from twohands.skeleton import ROOT, WRIST
+from twohands.types import RenderedFrame
+
+
+def encode_instance(frame: RenderedFrame, image: np.ndarray) -> dict[str, bytes]:
+    """The files of one instance.
+
+    Args:
+        frame: rendered hands; its depth and joints must be scaled as the files should be.
+        image: (H, W, 3) uint8 RGB, the hands on a background.
+
+    Returns:
+        File name -> contents, all seven files of the layout.
+    """
+    height, width = frame.part_labels.shape
+    return {
+        layout.COLOR_FILE: _png(np.dstack([frame.rgb[..., ::-1], frame.alpha])),
+        layout.IMAGE_FILE: _png(image[..., ::-1]),
+        layout.LABELS_FILE: _png(layout.encode_labels(frame.part_labels)),
+        layout.DEPTH_FILE: _png(layout.encode_depth(frame.depth_m)[..., ::-1]),
+        layout.JOINTS_2D_FILE: _npy(layout.encode_joints_px(project(frame.joints_m, frame.camera), width, height)),
+        layout.JOINTS_3D_FILE: _npy(layout.encode_joints_m(frame.joints_m)),
+        layout.CANONICAL_FILE: _npy(layout.encode_canonical(canonical_with_elbow(frame.joints_m))),
+    }
+
+
+def canonical_with_elbow(joints_m: np.ndarray) -> np.ndarray:
+    """Canonical coordinates of all 22 joints, the elbow carried along.
+
+    Args:
+        joints_m: (2, 22, 3) camera frame; NaN for an absent hand.
+
+    Returns:
+        (2, 22, 3), unitless, centred frame; NaN for an absent hand.
+
+    Source: paper Eq. 1.
+    """
+    hand = joints_m[:, 1:]
+    result = np.full(joints_m.shape, np.nan)
+    for side in range(len(joints_m)):
+        if not np.isfinite(hand[side]).all():
+            continue
+        theta, phi = centring_angles(hand[side, ROOT])
+        rotation = np.asarray(rotation_from_angles(theta, phi))
+        length = np.linalg.norm(hand[side, WRIST] - hand[side, ROOT])
+        result[side, 0] = rotation @ (joints_m[side, 0] - hand[side, ROOT]) / length
+        result[side, 1:] = canonical_from_camera(hand[side]).joints
+    return result
+
+
+def write_instance(folder: Path, files: dict[str, bytes]) -> None:
+    """Writes one instance so that its folder appears whole or not at all.
+
+    Args:
+        folder: the instance's own folder; replaced if it exists.
+        files: from `encode_instance`.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    temporary = folder.with_name(f".{folder.name}.{os.getpid()}.partial")
+    try:
+        shutil.rmtree(temporary, ignore_errors=True)
+        temporary.mkdir(parents=True)
+        for name, content in files.items():
+            (temporary / name).write_bytes(content)
+        shutil.rmtree(folder, ignore_errors=True)
+        os.replace(temporary, folder)
+    except OSError as error:
+        shutil.rmtree(temporary, ignore_errors=True)
+        raise InputError(f"{folder}: cannot be written: {error.strerror}") from error
+
+
+def _png(pixels: np.ndarray) -> bytes:
+    ok, data = cv2.imencode(".png", np.ascontiguousarray(pixels), [cv2.IMWRITE_PNG_COMPRESSION, 3])
+    if not ok:
+        raise InputError("a picture could not be encoded as PNG")
+    return data.tobytes()
+
+
+def _npy(array: np.ndarray) -> bytes:
+    buffer = io.BytesIO()
+    np.save(buffer, array, allow_pickle=False)
+    return buffer.getvalue()

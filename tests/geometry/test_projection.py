@@ -1,0 +1,309 @@
+"""The global projection is exact for exact input, everywhere, for both methods (SPEC 5, 10.2 to 10.4)."""
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+from tests.builders import CENTRED_CAMERA, OFF_CENTRE_CAMERA, random_hands, sees_little_longer
+
+from twohands.errors import InputError
+from twohands.geometry.camera import project, unproject
+from twohands.geometry.canonical import canonical_from_camera
+from twohands.geometry.projection import canonical_xy_from_rays, consistent_joints_px, project_global
+from twohands.skeleton import LITTLE_MCP, ROOT, WRIST
+from twohands.types import PinholeCamera
+
+METHODS = ["keybone", "all-joints"]
+FISHY_CAMERA = PinholeCamera(420.0, 415.0, 300.5, 255.25, 640, 480, (0.05, -0.12, 0.001, -0.002, 0.03))
+
+
+@pytest.fixture(scope="module", params=["centred", "off-centre"])
+def scene(request):
+    """5,000 hands over the whole image: camera, joints_m, joints_px, hand_length_m, canonical."""
+    camera = {"centred": CENTRED_CAMERA, "off-centre": OFF_CENTRE_CAMERA}[request.param]
+    joints_m, joints_px, length = random_hands(5000, camera, np.random.default_rng(11))
+    return camera, joints_m, joints_px, length, canonical_from_camera(joints_m).joints
+
+
+@pytest.fixture(scope="module")
+def noisy():
+    """2,000 hands with 1 px (of 480x270) and 0.03 canonical units of noise."""
+    rng = np.random.default_rng(12)
+    joints_m, joints_px, length = random_hands(2000, CENTRED_CAMERA, rng)
+    canonical = canonical_from_camera(joints_m).joints
+    noise = 0.03 * rng.standard_normal(canonical.shape)
+    noise[:, ROOT] = 0
+    return joints_m, joints_px + rng.standard_normal(joints_px.shape), length, canonical + noise
+
+
+def paper_by_hand(canonical, joints_px, camera, length):
+    """SPEC 5.3 with plain floats, in the paper's axis order (row, column, depth), one hand at a time."""
+    q = {
+        j: ((joints_px[j][1] - camera.cy) / camera.fy, (joints_px[j][0] - camera.cx) / camera.fx, 1.0)
+        for j in (0, 9, 17)
+    }
+    theta = math.atan2(q[9][0], q[9][2])
+    phi = math.atan2(q[9][1], math.sqrt(q[9][0] ** 2 + q[9][2] ** 2))
+    to_wrist, to_little = math.dist(joints_px[0], joints_px[9]), math.dist(joints_px[17], joints_px[9])
+    s = 0 if to_wrist > to_little else 17
+    row, column, depth = q[s]
+    row, depth = math.cos(theta) * row - math.sin(theta) * depth, math.sin(theta) * row + math.cos(theta) * depth
+    column, depth = math.cos(phi) * column - math.sin(phi) * depth, math.sin(phi) * column + math.cos(phi) * depth
+    h_2d, z_2d = math.hypot(row, column), depth
+    x_s, y_s, z_s = canonical[s]
+    h_3d = length * math.hypot(x_s, y_s)
+    z_3d = z_2d * h_3d / h_2d
+    return z_3d - length * z_s, s
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_exact_input_gives_the_exact_pose(to, scene, method):
+    camera, joints_m, joints_px, length, canonical = scene
+    little = sees_little_longer(joints_px)
+    assert 100 < little.sum() < 4900  # both key bones are at work
+    pose = project_global(to(canonical), to(joints_px), camera, to(length), method=method)
+    assert np.asarray(pose.valid).all()
+    assert np.array_equal(np.asarray(pose.key_bone), little.astype(int))
+    radius = np.linalg.norm(joints_m[:, ROOT], axis=-1)
+    assert (np.abs(np.asarray(pose.radius_m) - radius) / radius).max() < 1e-9
+    error = np.linalg.norm(np.asarray(pose.joints_m) - joints_m, axis=-1) / np.linalg.norm(joints_m, axis=-1)
+    assert error.max() < 1e-9
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_exact_through_a_lens(to, method):
+    joints_m, _, length = random_hands(300, FISHY_CAMERA, np.random.default_rng(13))
+    joints_px = project(joints_m, FISHY_CAMERA, distort=True)
+    seen = np.isfinite(unproject(joints_px, FISHY_CAMERA)).all(axis=(1, 2))  # fingers far outside leave the lens model
+    assert seen.sum() > 250
+    canonical = canonical_from_camera(joints_m).joints
+    pose = project_global(to(canonical[seen]), to(joints_px[seen]), FISHY_CAMERA, to(length[seen]), method=method)
+    np.testing.assert_allclose(np.asarray(pose.joints_m), joints_m[seen], rtol=0, atol=1e-9)
+
+
+def test_key_bone_method_is_the_papers_formula(noisy):
+    """On noisy input, where no two formulas agree by accident."""
+    _, joints_px, length, canonical = noisy
+    pose = project_global(canonical, joints_px, CENTRED_CAMERA, length, method="keybone")
+    secondaries = set()
+    for i in np.flatnonzero(pose.valid)[:300]:
+        radius, secondary = paper_by_hand(canonical[i], joints_px[i], CENTRED_CAMERA, length[i])
+        assert pose.radius_m[i] == pytest.approx(radius, rel=1e-10)
+        assert pose.key_bone[i] == (0 if secondary == WRIST else 1)
+        secondaries.add(secondary)
+    assert secondaries == {WRIST, LITTLE_MCP}
+
+
+def test_all_joints_is_least_squares(noisy):
+    """Against numpy's solver, weights included: minimise sum w |m (r + L z) - L xy|^2 over r."""
+    _, joints_px, length, canonical = noisy
+    weights = np.random.default_rng(14).uniform(0, 1, canonical.shape[:-1])
+    pose = project_global(canonical, joints_px, CENTRED_CAMERA, length, weights=weights)
+    for i in np.flatnonzero(pose.valid)[:100]:
+        rays = unproject(joints_px[i], CENTRED_CAMERA)
+        rotation = cv2.Rodrigues(np.array([pose.theta[i], 0.0, 0.0]))[0]
+        rotation = cv2.Rodrigues(np.array([0.0, -pose.phi[i], 0.0]))[0] @ rotation
+        centred = rays @ rotation.T
+        m = centred[:, :2] / centred[:, 2:]
+        w = np.sqrt(weights[i])[:, None]
+        target = length[i] * (canonical[i, :, :2] - m * canonical[i, :, 2:])
+        radius = np.linalg.lstsq((w * m).reshape(-1, 1), (w * target).ravel())[0][0]
+        assert pose.radius_m[i] == pytest.approx(radius, rel=1e-9)
+
+
+def test_equal_bones_choose_the_little_finger():
+    """Strictly larger: at equal 2D distance the wrist does not win (SPEC 5.3)."""
+    joints_m, joints_px, length = random_hands(1, CENTRED_CAMERA, np.random.default_rng(15))
+    joints_px = joints_px[0] * 0
+    joints_px[[WRIST, LITTLE_MCP, ROOT]] = [[240, 145], [250, 135], [240, 135]]
+    canonical = canonical_from_camera(joints_m[0]).joints
+    assert project_global(canonical, joints_px, CENTRED_CAMERA, length[0], method="keybone").key_bone == 1
+    joints_px[WRIST, 1] += 1e-9
+    assert project_global(canonical, joints_px, CENTRED_CAMERA, length[0], method="keybone").key_bone == 0
+
+
+def test_hand_length_is_the_wrists_for_either_bone(scene):
+    """Scaling the length scales the world, also where the little MCP is the secondary joint."""
+    camera, joints_m, joints_px, length, canonical = scene
+    little = sees_little_longer(joints_px)
+    pose = project_global(canonical[little], joints_px[little], camera, 3 * length[little], method="keybone")
+    np.testing.assert_allclose(pose.joints_m, 3 * joints_m[little], rtol=1e-8, atol=1e-9)
+
+
+def test_all_joints_bears_noise_better(noisy):
+    """SPEC 5.5: the median range error falls by about a third."""
+    joints_m, joints_px, length, canonical = noisy
+    radius = np.linalg.norm(joints_m[:, ROOT], axis=-1)
+    error = {
+        method: np.nanmedian(
+            np.abs(project_global(canonical, joints_px, CENTRED_CAMERA, length, method=method).radius_m - radius)
+        )
+        for method in METHODS
+    }
+    assert error["all-joints"] < 0.8 * error["keybone"]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_mirror(to, scene, method):
+    """Flipping the image left to right flips the pose, hand for hand."""
+    camera, _, joints_px, length, canonical = scene
+    flipped = PinholeCamera(camera.fx, camera.fy, camera.width - camera.cx, camera.cy, camera.width, camera.height)
+    pose = project_global(to(canonical), to(joints_px), camera, to(length), method=method)
+    mirrored_px = joints_px * [-1, 1] + [camera.width, 0]
+    mirrored = project_global(to(canonical * [-1, 1, 1]), to(mirrored_px), flipped, to(length), method=method)
+    np.testing.assert_allclose(
+        np.asarray(mirrored.joints_m), np.asarray(pose.joints_m) * [-1, 1, 1], rtol=1e-8, atol=1e-10
+    )
+    np.testing.assert_allclose(np.asarray(mirrored.theta), np.asarray(pose.theta), atol=1e-12)
+    np.testing.assert_allclose(np.asarray(mirrored.phi), -np.asarray(pose.phi), atol=1e-12)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_resized_image_gives_the_same_pose(scene, method):
+    camera, joints_m, joints_px, length, canonical = scene
+    larger = camera.resized(2 * camera.width, 2 * camera.height)
+    pose = project_global(canonical[:50], 2 * joints_px[:50], larger, length[:50], method=method)
+    np.testing.assert_allclose(pose.joints_m, joints_m[:50], atol=1e-9)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_batch_is_loop_and_inputs_stay(to, scene, method):
+    camera, _, joints_px, length, canonical = scene
+    given = [
+        to(canonical[:12].reshape(3, 4, 21, 3)),
+        to(joints_px[:12].reshape(3, 4, 21, 2)),
+        to(length[:12].reshape(3, 4)),
+    ]
+    batch = project_global(given[0], given[1], camera, given[2], method=method)
+    assert np.array_equal(np.asarray(given[0]).reshape(12, 21, 3), canonical[:12])
+    assert np.array_equal(np.asarray(given[1]).reshape(12, 21, 2), joints_px[:12])
+    assert np.array_equal(np.asarray(given[2]).reshape(12), length[:12])
+    for name in ("joints_m", "radius_m", "theta", "phi", "key_bone", "valid"):
+        whole = np.asarray(getattr(batch, name))
+        assert whole.shape[:2] == (3, 4)
+        for i in range(12):
+            one = project_global(to(canonical[i]), to(joints_px[i]), camera, float(length[i]), method=method)
+            np.testing.assert_allclose(
+                np.asarray(getattr(one, name)), whole.reshape(12, *whole.shape[2:])[i], rtol=1e-12, atol=1e-14
+            )
+
+
+def test_one_pose_many_lengths(to, scene):
+    """Leading dimensions broadcast: the same hand placed for several assumed lengths."""
+    camera, joints_m, joints_px, length, canonical = scene
+    factors = np.array([0.5, 1.0, 2.0])
+    pose = project_global(to(canonical[20]), to(joints_px[20]), camera, to(factors * length[20]))
+    np.testing.assert_allclose(np.asarray(pose.joints_m), factors[:, None, None] * joints_m[20], atol=1e-12)
+    assert pose.theta.shape == pose.key_bone.shape == pose.valid.shape == (3,)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_single_precision_stays_single(to, scene, method):
+    camera, joints_m, joints_px, length, canonical = scene
+    single = [to(values[:200].astype(np.float32)) for values in (canonical, joints_px, length)]
+    pose = project_global(single[0], single[1], camera, single[2], method=method)
+    assert str(pose.joints_m.dtype).endswith("float32") and str(pose.radius_m.dtype).endswith("float32")
+    assert np.median(np.abs(np.asarray(pose.joints_m) - joints_m[:200])) < 1e-6
+
+
+def test_joints_without_weight_are_ignored(to, scene):
+    """Hidden joints may be wrong or unknown in 2D."""
+    camera, joints_m, joints_px, length, canonical = scene
+    weights = np.ones((50, 21))
+    weights[:, [3, 8, WRIST]] = 0
+    pixels = joints_px[:50].copy()
+    pixels[:, 3], pixels[:, 8], pixels[:25, WRIST] = 12345.0, np.nan, np.inf
+    pose = project_global(to(canonical[:50]), to(pixels), camera, to(length[:50]), weights=to(weights))
+    assert np.asarray(pose.valid).all()
+    np.testing.assert_allclose(np.asarray(pose.joints_m), joints_m[:50], atol=1e-9)
+    for bad in (0.0, -1.0, np.nan):  # nothing counts; nonsense
+        pose = project_global(to(canonical[:50]), to(pixels), camera, to(length[:50]), weights=to(weights * bad))
+        assert not np.asarray(pose.valid).any()
+
+
+def test_bad_modes_are_refused(scene):
+    camera, _, joints_px, length, canonical = scene
+    for wrong in ({"method": "median"}, {"angles": "printed"}, {"method": "keybone", "weights": np.ones(21)}):
+        with pytest.raises(InputError):
+            project_global(canonical[0], joints_px[0], camera, length[0], **wrong)
+
+
+# The consistent 2D joints and the target of L_proj ------------------------------------------------------------------
+
+
+def test_consistent_pixels_of_exact_input_are_the_input(to, scene):
+    camera, _, joints_px, length, canonical = scene
+    consistent = consistent_joints_px(to(canonical), to(joints_px), camera, to(length))
+    np.testing.assert_allclose(np.asarray(consistent), joints_px, atol=1e-6)
+
+
+@pytest.mark.parametrize("camera", [CENTRED_CAMERA, FISHY_CAMERA], ids=["pinhole", "lens"])
+def test_key_bone_on_consistent_pixels_returns_the_same_range(to, camera):
+    """SPEC 4: so the paper's formula on `consistent` p and our all-joints method are one and the same."""
+    rng = np.random.default_rng(19)
+    joints_m, _, length = random_hands(400, camera, rng)
+    canonical = (
+        canonical_from_camera(joints_m).joints
+        + 0.03 * rng.standard_normal((400, 21, 3)) * (np.arange(21) != ROOT)[:, None]
+    )
+    joints_px = project(joints_m, camera, distort=True) + rng.standard_normal((400, 21, 2))
+    all_joints = project_global(canonical, joints_px, camera, length)
+    consistent = consistent_joints_px(to(canonical), to(joints_px), camera, to(length))
+    key_bone = project_global(to(canonical), consistent, camera, to(length), method="keybone")
+    both = all_joints.valid & np.asarray(key_bone.valid)
+    assert both.sum() > 300
+    np.testing.assert_allclose(np.asarray(key_bone.radius_m)[both], all_joints.radius_m[both], rtol=1e-7)
+    np.testing.assert_allclose(np.asarray(key_bone.joints_m)[both], all_joints.joints_m[both], atol=1e-7)
+
+
+def test_true_pixels_imply_the_true_xy(to, scene):
+    camera, joints_m, joints_px, length, canonical = scene
+    distance = np.linalg.norm(joints_m[:, ROOT], axis=-1) / length
+    xy = canonical_xy_from_rays(unproject(to(joints_px), camera), to(distance), to(canonical[..., 2]))
+    np.testing.assert_allclose(np.asarray(xy), canonical[..., :2], atol=1e-11)
+
+
+def test_unknown_pixels_imply_nothing(to, scene):
+    camera, joints_m, joints_px, length, canonical = scene
+    pixels = joints_px[:2].copy()
+    pixels[0, 3], pixels[1, ROOT] = np.nan, np.nan
+    distance = np.linalg.norm(joints_m[:2, ROOT], axis=-1) / length[:2]
+    xy = np.asarray(canonical_xy_from_rays(unproject(to(pixels), camera), to(distance), to(canonical[:2, :, 2])))
+    assert np.isnan(xy[0, 3]).all() and np.isnan(xy[1]).all() and np.isfinite(np.delete(xy[0], 3, axis=0)).all()
+
+
+# Gradients ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("camera", [OFF_CENTRE_CAMERA, FISHY_CAMERA], ids=["pinhole", "lens"])
+@pytest.mark.parametrize("method", METHODS)
+def test_gradients(method, camera):
+    torch = pytest.importorskip("torch")
+    joints_m, _, length = random_hands(2, camera, np.random.default_rng(20))
+    joints_px = project(joints_m, camera, distort=True)
+    assert np.isfinite(joints_px).all()
+    arguments = [
+        torch.tensor(values, requires_grad=True)
+        for values in (canonical_from_camera(joints_m).joints, joints_px, length)
+    ]
+
+    def outputs(canonical, pixels, lengths):
+        pose = project_global(canonical, pixels, camera, lengths, method=method)
+        assert pose.valid.all()
+        return pose.joints_m, pose.radius_m, pose.theta, pose.phi
+
+    assert torch.autograd.gradcheck(outputs, arguments, atol=1e-6)
+
+
+def test_gradients_of_the_loss_target():
+    torch = pytest.importorskip("torch")
+    joints_m, joints_px, length = random_hands(2, CENTRED_CAMERA, np.random.default_rng(21))
+    distance = torch.tensor(np.linalg.norm(joints_m[:, ROOT], axis=-1) / length)
+    arguments = [
+        torch.tensor(values, requires_grad=True)
+        for values in (joints_px, canonical_from_camera(joints_m).joints[..., 2])
+    ]
+    assert torch.autograd.gradcheck(
+        lambda pixels, z: canonical_xy_from_rays(unproject(pixels, CENTRED_CAMERA), distance, z), arguments, atol=1e-6
+    )

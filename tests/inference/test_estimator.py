@@ -1,0 +1,234 @@
+"""The pipeline gives true metres for true maps, feeds its networks what they expect, and yields to ground truth."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from tests.oracles import UNUSED, Oracle, drawn_hands, full_truth, hand_masks, make_card, true_boxes
+
+from twohands.errors import InputError
+from twohands.geometry.canonical import canonical_from_camera
+from twohands.inference.engine import Networks
+from twohands.inference.estimator import HandEstimator, StageTruth
+from twohands.skeleton import LEFT, RIGHT
+from twohands.types import PinholeCamera
+
+HAND_LENGTH_M = 0.1
+
+
+@pytest.mark.parametrize("crop_kind", ["square", "perspective"])
+@pytest.mark.parametrize("decode", ["subpixel", "softargmax"])
+def test_true_maps_give_true_metres(crop_kind, decode):
+    """Detection, crops, mirroring, read-out and projection lose less than a millimetre between them."""
+    range_error_m, error_px = (1e-3, 0.05) if decode == "subpixel" else (3e-3, 0.3)
+    for seed in range(6):
+        sample = drawn_hands(seed)
+        oracle = Oracle(sample, make_card(crop_kind=crop_kind, heatmap_decode=decode), z_heatmaps=decode == "subpixel")
+        pose = oracle.estimator.estimate(sample.image, sample.camera, HAND_LENGTH_M)
+        assert oracle.calls == ["hand_seg_net", "pose_net_2d", "pose_net_3d"]
+        for side, hand in enumerate(pose.hands):
+            assert hand.present and hand.valid and hand.score > 0.95
+            true_range = np.linalg.norm(sample.joints_m[side, 9])
+            assert abs(hand.range_m - true_range) < range_error_m
+            np.testing.assert_allclose(hand.joints_px, sample.joints_px[side], atol=error_px)
+            np.testing.assert_allclose(hand.canonical, oracle.canonical[side], atol=1e-6)
+        np.testing.assert_array_equal(pose.masks, hand_masks(sample))
+
+
+def test_truth_for_every_stage_gives_exact_metres_and_runs_no_network():
+    estimator = HandEstimator(UNUSED, make_card())
+    for seed in range(10):
+        sample = drawn_hands(seed)
+        pose = estimator.estimate(sample.image, sample.camera, HAND_LENGTH_M, full_truth(sample))
+        for side, hand in enumerate(pose.hands):
+            np.testing.assert_allclose(hand.joints_m, sample.joints_m[side], atol=1e-9)
+            assert abs(hand.range_m - np.linalg.norm(sample.joints_m[side, 9])) < 1e-9
+            x, y, z = sample.joints_m[side, 9]
+            assert hand.theta_deg == pytest.approx(np.degrees(np.arctan2(y, z)))
+            assert hand.phi_deg == pytest.approx(np.degrees(np.arctan2(x, np.hypot(y, z))))
+            assert (hand.method, hand.score) == ("all-joints", 1.0)
+
+
+@pytest.mark.parametrize(
+    ("given", "calls"),
+    [
+        (("masks", "boxes_px"), ["pose_net_2d", "pose_net_3d"]),
+        (("boxes_px",), ["hand_seg_net", "pose_net_2d", "pose_net_3d"]),
+        (("canonical",), ["hand_seg_net", "pose_net_2d"]),
+        (("heatmaps", "canonical"), ["hand_seg_net"]),
+        (("masks", "boxes_px", "heatmaps"), ["pose_net_3d"]),
+    ],
+)
+def test_a_stage_with_truth_is_not_run_and_the_others_are(given, calls):
+    sample = drawn_hands(0)
+    ran = []
+
+    def recorder(name, *outputs):
+        def network(batch):
+            ran.append(name)
+            values = tuple(np.zeros((len(batch), *shape), np.float32) + value for shape, value in outputs)
+            return values if len(values) > 1 else values[0]
+
+        return network
+
+    networks = Networks(
+        recorder("hand_seg_net", ((3, 135, 240), 0.0), ((2, 135, 240), np.where(np.arange(240) < 60, 9.0, -9.0))),
+        recorder("pose_net_2d", ((21, 32, 32), 0.5)),
+        recorder("pose_net_3d", ((21, 3), 1.0)),
+    )
+    truth = full_truth(sample)
+    chosen = StageTruth(**{name: getattr(truth, name) for name in given})
+    HandEstimator(networks, make_card()).estimate(sample.image, sample.camera, HAND_LENGTH_M, chosen)
+    assert ran == calls
+
+
+def test_true_2d_joints_replace_the_read_out_but_not_the_maps_for_3d():
+    sample = drawn_hands(3)
+    oracle = Oracle(sample, make_card())
+    shifted = sample.joints_px + 1.0
+    pose = oracle.estimator.estimate(sample.image, sample.camera, HAND_LENGTH_M, StageTruth(joints_px=shifted))
+    assert oracle.calls == ["hand_seg_net", "pose_net_2d", "pose_net_3d"]
+    np.testing.assert_array_equal(pose.left.joints_px, shifted[LEFT])
+
+
+@pytest.mark.parametrize("absent", [LEFT, RIGHT])
+def test_an_absent_hand_is_reported_absent_and_the_other_is_unharmed(absent):
+    present = (absent != LEFT, absent != RIGHT)
+    sample = drawn_hands(1, present=present)
+    pose = Oracle(sample, make_card()).estimator.estimate(sample.image, sample.camera, HAND_LENGTH_M)
+    gone, seen = pose.hands[absent], pose.hands[1 - absent]
+    assert not gone.present
+    assert all(getattr(gone, f.name) is None for f in dataclasses.fields(gone) if f.name != "present")
+    assert seen.valid
+    assert abs(seen.range_m - np.linalg.norm(sample.joints_m[1 - absent, 9])) < 1e-3
+
+
+def test_no_hand_is_a_result_and_runs_only_the_first_network():
+    sample = drawn_hands(2, present=(False, False))
+    oracle = Oracle(sample, make_card())
+    pose = oracle.estimator.estimate(sample.image, sample.camera, HAND_LENGTH_M)
+    assert not pose.left.present and not pose.right.present
+    assert oracle.calls == ["hand_seg_net"]
+
+
+def test_truth_can_deny_a_hand_that_has_a_box():
+    sample = drawn_hands(4)
+    truth = dataclasses.replace(full_truth(sample), present=np.array([False, True]))
+    pose = HandEstimator(UNUSED, make_card()).estimate(sample.image, sample.camera, HAND_LENGTH_M, truth)
+    assert [hand.present for hand in pose.hands] == [False, True]
+
+
+def test_true_presence_overrules_a_low_energy_but_the_box_is_still_estimated():
+    sample = drawn_hands(5)
+    oracle = Oracle(sample, make_card())
+
+    def faint(batch):
+        seg_logits, energy_logits = oracle.hand_seg_net(batch)
+        energy = 0.4 / (1 + np.exp(-energy_logits))
+        return seg_logits, np.log(energy / (1 - energy))
+
+    networks = dataclasses.replace(oracle.estimator.networks, hand_seg_net=faint)
+    estimator = HandEstimator(networks, oracle.card)
+    _, without = estimator.segment(sample.image)
+    _, told = estimator.segment(sample.image, StageTruth(present=np.array([True, False])))
+    assert without.present.tolist() == [False, False]
+    assert told.present.tolist() == [True, False]
+    assert np.isnan(told.boxes_px[RIGHT]).all()
+    np.testing.assert_allclose(told.boxes_px[LEFT], true_boxes(sample)[LEFT], atol=6)
+
+
+def test_mirrored_picture_gives_the_mirrored_result_with_hands_swapped():
+    """Flip the picture: left becomes right, x changes sign, everything else stays (SPEC 10.3)."""
+    sample = drawn_hands(6)
+    width = sample.image.shape[1]
+    assert sample.labels is not None
+    flipped = sample.labels[:, ::-1]
+    mirrored = dataclasses.replace(
+        sample,
+        image=np.ascontiguousarray(sample.image[:, ::-1]),
+        labels=np.where(flipped == 0, 0, np.where(flipped <= 7, flipped + 7, flipped - 7)).astype(np.uint8),
+        joints_px=(sample.joints_px * [-1, 1] + [width, 0])[::-1],
+        joints_m=(sample.joints_m * [-1, 1, 1])[::-1],
+    )
+    card = make_card()
+    pose = Oracle(sample, card).estimator.estimate(sample.image, sample.camera, HAND_LENGTH_M)
+    other = Oracle(mirrored, card).estimator.estimate(mirrored.image, mirrored.camera, HAND_LENGTH_M)
+    for hand, twin in zip(pose.hands, other.hands[::-1], strict=True):
+        np.testing.assert_allclose(twin.joints_m, hand.joints_m * [-1, 1, 1], atol=2e-5)
+        assert twin.phi_deg == pytest.approx(-hand.phi_deg, abs=1e-3)
+        assert twin.theta_deg == pytest.approx(hand.theta_deg, abs=1e-3)
+
+
+def test_the_networks_see_a_left_like_hand_on_black_with_the_other_dimmed():
+    """The right hand's crop of the mirrored picture is the left hand's crop of the picture."""
+    sample = drawn_hands(7)
+    width = sample.image.shape[1]
+    estimator = HandEstimator(UNUSED, make_card(crop_kind="square"))
+    masks, box = hand_masks(sample), true_boxes(sample)[LEFT]
+    left = estimator.crop(sample.image, masks, box, LEFT, sample.camera)
+    swap = np.array([0, 2, 1], np.uint8)
+    mirrored_box = np.array([width - box[2], box[1], width - box[0], box[3]])
+    right = estimator.crop(
+        np.ascontiguousarray(sample.image[:, ::-1]), swap[masks[:, ::-1]], mirrored_box, RIGHT, sample.camera
+    )
+    assert (left.mirrored, right.mirrored) == (False, True)
+    difference = np.abs(left.image.astype(int) - right.image).max(axis=2)
+    assert (difference <= 2).mean() > 0.98  # nearest-neighbour masks may fall either way on an exact tie
+    assert (left.image == 0).all(axis=2).any(), "background is black"
+
+
+def test_ranges_scale_with_the_hand_length():
+    sample = drawn_hands(8)
+    estimator = HandEstimator(UNUSED, make_card())
+    small = estimator.estimate(sample.image, sample.camera, 0.05, full_truth(sample))
+    large = estimator.estimate(sample.image, sample.camera, 0.10, full_truth(sample))
+    np.testing.assert_allclose(2 * small.left.joints_m, large.left.joints_m, rtol=1e-12)
+
+
+def test_a_projection_that_cannot_be_solved_is_not_valid_and_keeps_the_2d_result():
+    sample = drawn_hands(9)
+    truth = full_truth(sample)
+    collapsed = np.array(truth.joints_px)
+    collapsed[LEFT] = collapsed[LEFT, 9]  # all joints on one pixel say nothing about the range
+    truth = dataclasses.replace(truth, joints_px=collapsed)
+    pose = HandEstimator(UNUSED, make_card()).estimate(sample.image, sample.camera, HAND_LENGTH_M, truth)
+    assert pose.left.present and pose.left.valid is False
+    assert pose.left.joints_m is None and pose.left.range_m is None
+    assert pose.left.joints_px is not None and pose.left.theta_deg is not None
+    assert pose.right.valid
+
+
+def test_inputs_are_left_as_they_were():
+    sample = drawn_hands(0)
+    truth = full_truth(sample)
+    before = [np.copy(a) for a in (sample.image, truth.masks, truth.boxes_px, truth.joints_px, truth.canonical)]
+    HandEstimator(UNUSED, make_card()).estimate(sample.image, sample.camera, HAND_LENGTH_M, truth)
+    after = (sample.image, truth.masks, truth.boxes_px, truth.joints_px, truth.canonical)
+    for a, b in zip(before, after, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize(
+    ("image", "camera", "hand_length_m", "message"),
+    [
+        (np.zeros((135, 240), np.uint8), None, 0.1, r"\(H, W, 3\) uint8"),
+        (np.zeros((135, 240, 3), np.float32), None, 0.1, "float32"),
+        (np.zeros((135, 240, 3), np.uint8), PinholeCamera.ego3dhands(480, 270), 0.1, "480x270"),
+        (np.zeros((135, 240, 3), np.uint8), None, 0.0, "hand length"),
+        (np.zeros((135, 240, 3), np.uint8), None, float("nan"), "nan"),
+    ],
+)
+def test_what_does_not_fit_together_is_refused(image, camera, hand_length_m, message):
+    estimator = HandEstimator(UNUSED, make_card())
+    with pytest.raises(InputError, match=message):
+        estimator.estimate(image, camera or PinholeCamera.ego3dhands(240, 135), hand_length_m)
+
+
+def test_canonical_truth_is_that_of_the_real_hand():
+    """`StageTruth.canonical` is not mirrored, so it is what `canonical_from_camera` gives for a right hand too."""
+    sample = drawn_hands(2)
+    truth = StageTruth(canonical=canonical_from_camera(sample.joints_m).joints)
+    oracle = Oracle(sample, make_card())
+    with_truth = oracle.estimator.estimate(sample.image, sample.camera, HAND_LENGTH_M, truth)
+    without = oracle.estimator.estimate(sample.image, sample.camera, HAND_LENGTH_M)
+    np.testing.assert_allclose(with_truth.right.joints_m, without.right.joints_m, atol=1e-6)

@@ -1,0 +1,166 @@
+"""Otsu, boxes, absence, masks: hand-made maps with known answers."""
+
+import numpy as np
+import pytest
+from tests.oracles import drawn_hands, true_boxes
+
+from twohands.geometry.boxes import box_iou
+from twohands.geometry.heatmaps import encode_energy
+from twohands.inference.segmentation import (
+    PRESENCE_THRESHOLD,
+    boxes_from_energy,
+    energy_box,
+    letterbox,
+    masks_from_logits,
+    network_input,
+    otsu_threshold,
+)
+
+
+def otsu_by_definition(levels: np.ndarray) -> int:
+    """The level t that maximises the variance between {<= t} and {> t}, written out from Otsu's paper."""
+    histogram = np.bincount(levels.ravel(), minlength=256) / levels.size
+    best, best_variance = 0, -1.0
+    for t in range(255):
+        below, above = histogram[: t + 1].sum(), histogram[t + 1 :].sum()
+        if below == 0 or above == 0:
+            continue
+        mean_below = (np.arange(t + 1) * histogram[: t + 1]).sum() / below
+        mean_above = (np.arange(t + 1, 256) * histogram[t + 1 :]).sum() / above
+        variance = below * above * (mean_below - mean_above) ** 2
+        if variance > best_variance + 1e-9:
+            best, best_variance = t, variance
+    return best
+
+
+def test_otsu_of_three_levels_computed_by_hand():
+    """75 cells of 0.0, 10 of 0.2 (level 51), 15 of 0.8 (level 204).
+
+    Cut below 51: w0 = 3/4, w1 = 1/4, means 0 and (10*51 + 15*204)/25 = 142.8, variance 3/16 * 142.8^2 = 3823.5.
+    Cut above 51: w0 = 85/100, w1 = 15/100, means 510/85 = 6 and 204, variance 51/400 * 198^2 = 4998.5: this one.
+    """
+    energy = np.zeros(100)
+    energy[75:85], energy[85:] = 0.2, 0.8
+    threshold = otsu_threshold(energy.reshape(10, 10))
+    assert threshold == 51 / 255
+    assert (energy > threshold).sum() == 15
+
+
+def test_otsu_is_the_maximum_of_the_variance_between_classes():
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        means = np.where(rng.random((30, 40)) < 0.3, 0.7, 0.2)
+        energy = np.clip(rng.normal(means, 0.1), 0, 1)
+        levels = np.rint(energy * 255).astype(np.uint8)
+        assert otsu_threshold(energy) * 255 == pytest.approx(otsu_by_definition(levels))
+
+
+def test_otsu_of_the_target_blob_gives_the_box_back():
+    """SPEC 2: the threshold of the Gaussian that fills a box is 0.29, the cut one's box overlaps it by 0.96 or more."""
+    size = (288, 512)
+    rng = np.random.default_rng(0)
+    for _ in range(30):
+        centre, sides = rng.uniform([130, 90], [380, 200]), rng.uniform(50, 150, 2)
+        box = np.concatenate([centre - sides / 2, centre + sides / 2])
+        energy = encode_energy(box, np.array(True), *size)
+        assert otsu_threshold(energy) == pytest.approx(0.29, abs=0.02)
+        assert box_iou(energy_box(energy), box) > 0.93
+
+
+def test_a_rectangle_gives_its_own_box():
+    """Cells 30..49 by 10..24: the box's corners are cell borders, u from 30 to 50, v from 10 to 25."""
+    energy = np.zeros((60, 512))
+    energy[10:25, 30:50] = 0.9
+    np.testing.assert_array_equal(energy_box(energy), [30, 10, 50, 25])
+
+
+def test_specks_are_opened_away_and_only_the_largest_blob_counts():
+    energy = np.zeros((100, 512))
+    energy[20:60, 100:150] = 0.9
+    energy[70:90, 400:410] = 0.9  # a second, smaller blob
+    energy[5:9, 300:304] = 0.9  # 4 x 4: smaller than the 5 x 5 opening
+    np.testing.assert_array_equal(energy_box(energy), [100, 20, 150, 60])
+    only_speck = np.zeros((100, 512))
+    only_speck[5:9, 300:304] = 0.9
+    assert energy_box(only_speck) is None
+
+
+def test_the_opening_shrinks_with_the_map():
+    """On a map a quarter as wide the same speck is one cell, and nothing is opened away there."""
+    quarter = np.zeros((25, 128))
+    quarter[1, 75] = 0.9
+    np.testing.assert_array_equal(energy_box(quarter), [75, 1, 76, 2])
+
+
+def test_presence_is_decided_at_one_half():
+    energies = np.zeros((2, 100, 512))
+    energies[0, 20:60, 100:150] = PRESENCE_THRESHOLD
+    energies[1, 20:60, 300:350] = PRESENCE_THRESHOLD - 1e-3
+    found = boxes_from_energy(energies, (100, 512))
+    assert found.present.tolist() == [True, False]
+    assert np.isnan(found.boxes_px[1]).all()
+    np.testing.assert_allclose(found.scores, [0.5, 0.499])
+
+
+def test_boxes_come_in_pixels_of_the_picture():
+    """Twice as wide and three times as high as the map."""
+    energies = np.zeros((2, 100, 512))
+    energies[:, 20:60, 100:150] = 1.0
+    found = boxes_from_energy(energies, (300, 1024))
+    np.testing.assert_allclose(found.boxes_px, [[200, 60, 300, 180]] * 2)
+
+
+def test_true_energies_find_both_hands_of_a_picture():
+    for seed in range(10):
+        sample = drawn_hands(seed)
+        energies = encode_energy(true_boxes(sample), sample.present, 135, 240)
+        found = boxes_from_energy(energies, (135, 240))
+        assert found.present.all()
+        assert box_iou(found.boxes_px, true_boxes(sample)).min() > 0.85
+
+
+def test_a_picture_of_the_same_shape_fills_the_input():
+    image = np.random.default_rng(0).integers(0, 256, (270, 480, 3), dtype=np.uint8)
+    canvas, place = letterbox(image, (270, 480))
+    np.testing.assert_array_equal(canvas, image)
+    assert (place.top, place.left, place.height, place.width) == (0, 0, 1, 1)
+
+
+def test_another_shape_is_centred_on_grey_without_stretching():
+    """400 x 400 into 270 x 480: 270 x 270 in the middle, 105 columns on either side."""
+    image = np.full((400, 400, 3), 255, np.uint8)
+    canvas, place = letterbox(image, (270, 480))
+    assert (canvas[:, :105] == 128).all() and (canvas[:, 375:] == 128).all()
+    assert (canvas[:, 105:375] == 255).all()
+    assert place.content(canvas.transpose(2, 0, 1)).shape == (3, 270, 270)
+    half = np.arange(135 * 240).reshape(1, 135, 240)
+    assert place.content(half).shape == (1, 135, 136)  # 52.5 and 187.5 both round to even: 52 to 188
+    assert network_input(canvas[None])[0, 0, 0, 0] == 0.0
+
+
+@pytest.mark.parametrize("shape", [(135, 240), (480, 640), (1000, 400), (33, 3000)])
+def test_every_shape_of_picture_can_be_put_in_and_taken_out(shape):
+    canvas, place = letterbox(np.zeros((*shape, 3), np.uint8), (160, 288))
+    assert canvas.shape == (160, 288, 3)
+    content = place.content(np.zeros((2, 80, 144)))
+    assert min(content.shape[1:]) >= 1
+    assert masks_from_logits(np.zeros((3, *content.shape[1:])), shape).shape == shape
+
+
+def test_masks_are_the_largest_logit():
+    logits = np.zeros((3, 4, 6), np.float32)
+    logits[1, :, :2] = 5.0
+    logits[2, :, 4:] = 5.0
+    np.testing.assert_array_equal(masks_from_logits(logits, (4, 6)), [[1, 1, 0, 0, 2, 2]] * 4)
+    enlarged = masks_from_logits(logits, (40, 60))
+    assert (enlarged[:, :15] == 1).all() and (enlarged[:, 45:] == 2).all() and (enlarged[:, 27:33] == 0).all()
+
+
+def test_network_input_is_normalised_as_in_training():
+    """(x - 128) / 256, channels first: 0 -> -0.5, 128 -> 0, 255 -> 127/256."""
+    image = np.zeros((1, 2, 3, 3), np.uint8)
+    image[0, 0, 1] = (128, 255, 64)
+    batch = network_input(image)
+    assert batch.shape == (1, 3, 2, 3) and batch.dtype == np.float32
+    np.testing.assert_array_equal(batch[0, :, 0, 1], [0.0, 127 / 256, -0.25])
+    assert batch[0, 0, 0, 0] == -0.5

@@ -1,0 +1,166 @@
+"""Pictures from files: every kind comes out as 8-bit RGB, and nothing damaged gets through."""
+
+import struct
+import zlib
+
+import cv2
+import numpy as np
+import pytest
+
+from twohands.errors import InputError
+from twohands.inference.sources import decode_image, list_images, read_image
+
+RGB = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)
+SMOOTH = np.ascontiguousarray(
+    np.stack(np.meshgrid(np.linspace(0, 255, 64), np.linspace(0, 255, 48)), -1)[..., [0, 1, 0]].astype(np.uint8)
+)
+
+
+def encoded(suffix: str, pixels: np.ndarray = RGB, *options: int) -> bytes:
+    """An image file's bytes, from RGB, RGBA or grey."""
+    if pixels.ndim == 3:
+        pixels = cv2.cvtColor(pixels, cv2.COLOR_RGBA2BGRA if pixels.shape[2] == 4 else cv2.COLOR_RGB2BGR)
+    return cv2.imencode(suffix, pixels, options)[1].tobytes()
+
+
+PROGRESSIVE = (cv2.IMWRITE_JPEG_PROGRESSIVE, 1)
+RESTART = (cv2.IMWRITE_JPEG_RST_INTERVAL, 2)
+FILES = {
+    "png": encoded(".png"),
+    "bmp": encoded(".bmp"),
+    "webp": encoded(".webp", SMOOTH),
+    "jpeg": encoded(".jpg", SMOOTH),
+    "progressive jpeg": encoded(".jpg", SMOOTH, *PROGRESSIVE),
+    "jpeg with restart markers": encoded(".jpg", SMOOTH, *RESTART),
+}
+
+
+@pytest.mark.parametrize("kind", ["png", "bmp"])
+def test_lossless_files_come_out_as_they_went_in(kind):
+    np.testing.assert_array_equal(decode_image(FILES[kind]), RGB)
+
+
+@pytest.mark.parametrize("kind", [kind for kind in FILES if "jpeg" in kind or kind == "webp"])
+def test_lossy_files_keep_channel_order_and_look(kind):
+    assert np.abs(decode_image(FILES[kind]).astype(int) - SMOOTH).mean() < 4
+
+
+def test_grey_16_bit_and_transparent_pictures_are_converted():
+    grey = RGB[..., 0]
+    np.testing.assert_array_equal(decode_image(encoded(".png", grey)), np.stack([grey] * 3, -1))
+    deep = np.ascontiguousarray(RGB.astype(np.uint16) * 257)
+    np.testing.assert_array_equal(decode_image(cv2.imencode(".png", deep[..., ::-1])[1].tobytes()), RGB)
+    deep_grey = cv2.imencode(".png", deep[..., 0])[1].tobytes()
+    np.testing.assert_array_equal(decode_image(deep_grey), np.stack([grey] * 3, -1))
+    alpha = np.full((48, 64, 1), 255, np.uint8)
+    alpha[:, :32], alpha[:, 32:40] = 0, 51
+    on_black = decode_image(encoded(".png", np.concatenate([RGB, alpha], axis=2)))
+    assert (on_black[:, :32] == 0).all()
+    np.testing.assert_array_equal(on_black[:, 32:40], np.rint(RGB[:, 32:40] * 0.2))
+    np.testing.assert_array_equal(on_black[:, 40:], RGB[:, 40:])
+
+
+@pytest.mark.parametrize(("value", "expected"), [(0, 0), (128, 0), (129, 1), (65535, 255), (32896, 128)])
+def test_16_bits_are_divided_by_257_and_rounded(value, expected):
+    deep = np.full((40, 40), value, np.uint16)
+    assert (decode_image(cv2.imencode(".png", deep)[1].tobytes()) == expected).all()
+
+
+@pytest.mark.parametrize("kind", FILES)
+def test_every_truncation_is_refused(kind):
+    """Wherever the file is cut: in the signature, a header, the pixels, or the last byte of the end marker."""
+    data = FILES[kind]
+    cuts = {*range(1, min(64, len(data))), *range(64, len(data), 37), *range(len(data) - 16, len(data))}
+    for cut in sorted(cuts):
+        with pytest.raises(InputError, match=r"cut off|damaged|not an image"):
+            decode_image(data[:cut])
+
+
+def test_a_cut_jpeg_with_a_thumbnail_is_not_saved_by_the_thumbnails_end_marker():
+    thumbnail = encoded(".jpg", SMOOTH[:40, :40])
+    segment = b"\xff\xe1" + struct.pack(">H", len(thumbnail) + 8) + b"Exif\x00\x00" + thumbnail
+    whole = FILES["jpeg"][:2] + segment + FILES["jpeg"][2:]
+    assert decode_image(whole).shape == (48, 64, 3)
+    with pytest.raises(InputError, match="cut off"):
+        decode_image(whole[: len(segment) + 300])
+
+
+@pytest.mark.parametrize("kind", FILES)
+def test_bytes_after_the_end_do_no_harm(kind):
+    """Phones append videos to their photographs."""
+    assert decode_image(FILES[kind] + b"\x00appended\xff\xd8\xff" * 9).shape == (48, 64, 3)
+
+
+def test_a_flipped_bit_in_a_png_is_refused():
+    data = bytearray(FILES["png"])
+    data[len(data) // 2] ^= 1
+    with pytest.raises(InputError, match="damaged"):
+        decode_image(bytes(data))
+
+
+def test_a_png_that_promises_rows_it_does_not_hold_is_refused():
+    """Header changed to twice the height, checksum mended: complete as a file, too short as a picture."""
+    data = FILES["png"]
+    header = bytearray(data[16:29])
+    header[4:8] = struct.pack(">I", 96)
+    checksum = struct.pack(">I", zlib.crc32(b"IHDR" + bytes(header)))
+    with pytest.raises(InputError):
+        decode_image(data[:16] + bytes(header) + checksum + data[33:])
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"", "empty"),
+        (b"hello, this is text" * 10, "not an image"),
+        (b"GIF89a" + bytes(100), "not an image"),
+        (b"\x00" * 500, "not an image"),
+        (encoded(".png", RGB[:1, :1]), "too small: 1x1"),
+        (encoded(".png", RGB[:31, :64]), "too small: 64x31"),
+    ],
+)
+def test_what_is_no_usable_picture_is_named(data, message):
+    with pytest.raises(InputError, match=message):
+        decode_image(data)
+
+
+def test_32_pixels_are_enough():
+    assert decode_image(encoded(".png", RGB[:32, :32])).shape == (32, 32, 3)
+
+
+def test_a_cameras_orientation_is_applied():
+    """EXIF orientation 6: the picture is to be turned a quarter clockwise."""
+    tiff = b"II*\x00\x08\x00\x00\x00" + struct.pack("<HHHIHHI", 1, 0x0112, 3, 1, 6, 0, 0)
+    segment = b"\xff\xe1" + struct.pack(">H", len(tiff) + 8) + b"Exif\x00\x00" + tiff
+    turned = decode_image(FILES["jpeg"][:2] + segment + FILES["jpeg"][2:])
+    assert turned.shape == (64, 48, 3)
+    assert np.abs(turned.astype(int) - np.rot90(SMOOTH, -1)).mean() < 4
+
+
+def test_the_file_is_named_in_the_message(tmp_path):
+    with pytest.raises(InputError, match=r"missing\.png: no such file"):
+        read_image(tmp_path / "missing.png")
+    with pytest.raises(InputError, match="cannot be read"):
+        read_image(tmp_path)
+    (tmp_path / "text.jpg").write_text("not a picture at all")
+    with pytest.raises(InputError, match=r"text\.jpg: not an image"):
+        read_image(tmp_path / "text.jpg")
+
+
+def test_content_decides_not_the_name(tmp_path):
+    (tmp_path / "really_png.jpg").write_bytes(FILES["png"])
+    np.testing.assert_array_equal(read_image(str(tmp_path / "really_png.jpg")), RGB)
+
+
+def test_a_folders_images_come_in_natural_order(tmp_path):
+    for name in ("b10.png", "b9.PNG", "a.jpeg", ".hidden.png", "notes.txt", "camera.json"):
+        (tmp_path / name).write_bytes(FILES["png"])
+    (tmp_path / "folder.png").mkdir()
+    assert [path.name for path in list_images(tmp_path)] == ["a.jpeg", "b9.PNG", "b10.png"]
+
+
+def test_a_folder_without_images_is_refused(tmp_path):
+    with pytest.raises(InputError, match="no image in this folder"):
+        list_images(tmp_path)
+    with pytest.raises(InputError, match="cannot be read"):
+        list_images(tmp_path / "missing")

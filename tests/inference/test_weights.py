@@ -1,0 +1,130 @@
+"""Weights folders: cards, networks in the wrong place, and the compiled networks themselves."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from tests.oracles import write_tiny_weights
+
+from twohands.errors import CheckpointError
+from twohands.inference.engine import load_networks
+from twohands.inference.estimator import HandEstimator
+from twohands.inference.weights import DEFAULT_PRESET, preset_folder, preset_names, read_card
+from twohands.types import PinholeCamera
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory):
+    return write_tiny_weights(tmp_path_factory.mktemp("weights") / "tiny")
+
+
+@pytest.fixture
+def copied(tiny, tmp_path):
+    return shutil.copytree(tiny, tmp_path / "copy")
+
+
+def test_the_card(tiny):
+    card = read_card(tiny)
+    assert (card.name, card.seg_input_size, card.crop_size, card.crop_kind) == ("tiny", (48, 80), 32, "square")
+    assert preset_folder(tiny) == tiny and preset_folder(str(tiny)) == tiny
+
+
+def test_the_shipped_presets_are_complete():
+    names = preset_names()
+    if not names:
+        pytest.skip("no weights are shipped yet")
+    assert DEFAULT_PRESET in names
+    for name in names:
+        card = read_card(preset_folder(name))
+        assert card.name == name
+        load_networks(preset_folder(name))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda card: card.pop("name"), "'name' is missing"),
+        (lambda card: card["pose_net_2d"].pop("crop_size"), "'crop_size' is missing"),
+        (lambda card: card.update(version=9), "version 1 expected, found 9"),
+        (lambda card: card["pose_net_2d"].update(crop_kind="round"), "crop_kind must be one of"),
+        (lambda card: card["pose_net_2d"].update(crop_margin=0), "crop_margin must be positive"),
+        (lambda card: card["pose_net_2d"].update(crop_size=0), "crop_size must be positive"),
+        (lambda card: card["pose_net_2d"].update(heatmap_decode="guess"), "heatmap_decode must be one of"),
+        (lambda card: card["hand_seg_net"].update(input_size=[48]), "card: "),
+        (lambda card: card["hand_seg_net"].update(input_size=[0, 80]), "height, width"),
+        (lambda card: card.update(hand_seg_net=3), "card: "),
+    ],
+)
+def test_a_bad_card_is_refused(copied, change, message):
+    card = json.loads((copied / "card.json").read_text())
+    change(card)
+    (copied / "card.json").write_text(json.dumps(card))
+    with pytest.raises(CheckpointError, match=message):
+        read_card(copied)
+
+
+def test_missing_and_damaged_cards_are_refused(copied):
+    with pytest.raises(CheckpointError, match="'nothing' not found"):
+        preset_folder("nothing")
+    (copied / "card.json").write_text("{")
+    with pytest.raises(CheckpointError, match="not a readable card"):
+        read_card(copied)
+    (copied / "card.json").write_text("[]")
+    with pytest.raises(CheckpointError, match="JSON object expected"):
+        read_card(copied)
+
+
+def test_a_missing_network_is_named(copied):
+    (copied / "pose_net_3d.onnx").unlink()
+    with pytest.raises(CheckpointError, match=r"pose_net_3d\.onnx is missing"):
+        HandEstimator.from_preset(copied)
+
+
+@pytest.mark.parametrize("content", [b"", b"not a network", b"\x08\x08"])
+def test_a_damaged_network_is_refused(copied, content):
+    (copied / "pose_net_2d.onnx").write_bytes(content)
+    with pytest.raises(CheckpointError, match=r"pose_net_2d\.onnx"):
+        load_networks(copied)
+
+
+ROLES = ("hand_seg_net", "pose_net_2d", "pose_net_3d")
+
+
+@pytest.mark.parametrize(("role", "other"), [(a, b) for a in ROLES for b in ROLES if a != b])
+def test_another_network_in_a_role_is_refused(copied, role, other):
+    shutil.copy(copied / f"{other}.onnx", copied / f"{role}.onnx")
+    with pytest.raises(CheckpointError, match="another network"):
+        load_networks(copied)
+
+
+def test_compiled_networks_are_functions_of_batches(tiny):
+    networks = load_networks(tiny)
+    seg_logits, energy_logits = networks.hand_seg_net(np.zeros((1, 3, 48, 80), np.float32))
+    assert seg_logits.shape == (1, 3, 48, 80) and energy_logits.shape == (1, 2, 48, 80)
+    assert seg_logits[0, 1, 0, 0] == 1.0 and energy_logits[0, 0, 30, 20] == 4.0
+    for count in (1, 2):
+        heatmaps = networks.pose_net_2d(np.zeros((count, 3, 32, 32), np.float32))
+        assert heatmaps.shape == (count, 21, 8, 8)
+        assert networks.pose_net_3d(heatmaps).shape == (count, 21, 3)
+
+
+def test_results_of_one_call_survive_the_next(tiny):
+    """The engine reuses its memory; what it returned must not change."""
+    networks = load_networks(tiny)
+    first = networks.pose_net_2d(np.zeros((1, 3, 32, 32), np.float32))
+    kept = first.copy()
+    networks.pose_net_2d(np.full((1, 3, 32, 32), np.nan, np.float32))
+    np.testing.assert_array_equal(first, kept)
+
+
+def test_a_weights_folder_tracks(tiny):
+    estimator = HandEstimator.from_preset(tiny)
+    image = np.full((96, 160, 3), 90, np.uint8)
+    pose = estimator.estimate(image, PinholeCamera.from_fov(60, 160, 96), 0.09)
+    np.testing.assert_allclose(pose.left.box_px, [20, 40, 60, 80], atol=2)
+    np.testing.assert_allclose(pose.right.box_px, [100, 40, 140, 80], atol=2)
+    assert pose.left.valid and pose.right.valid
+    # One network answer for both: the right hand is the left one's mirror image.
+    np.testing.assert_allclose(pose.right.canonical, pose.left.canonical * [-1, 1, 1], atol=1e-6)
+    np.testing.assert_allclose(pose.right.joints_px, pose.left.joints_px * [-1, 1] + [160, 0], atol=1e-2)

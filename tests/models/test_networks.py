@@ -1,0 +1,179 @@
+"""The networks have the paper's depth, size and shapes."""
+
+import dataclasses
+import math
+
+import pytest
+import torch
+from torch import nn
+
+from twohands.errors import InputError
+from twohands.models.blocks import count_blocks
+from twohands.models.hand_seg_net import HandSegNet, HandSegNetConfig
+from twohands.models.pose_net_2d import PoseNet2D, PoseNet2DConfig
+from twohands.models.pose_net_3d import PoseNet3D, PoseNet3DConfig
+from twohands.models.presets import PAPER, SLIM, build_network, config_from_dict
+from twohands.skeleton import ROOT
+
+TINY_SEG = HandSegNetConfig(height=64, width_px=96, width=0.125)
+TINY_2D = PoseNet2DConfig("encoder-decoder", crop_size=128, stages=1, width=0.25, activation="softmax")
+
+
+def parameters(module: nn.Module) -> int:
+    return sum(p.numel() for p in module.parameters())
+
+
+def test_hand_seg_net_has_16_residual_blocks_in_4_down_and_4_up_layers():
+    net = HandSegNet(TINY_SEG)
+    assert [count_blocks(layer) for layer in net.down] == [2, 2, 2, 2]
+    assert [count_blocks(layer) for layer in net.up] == [2, 2, 2, 2]
+    assert count_blocks(net) == 16
+
+
+@pytest.mark.parametrize("skips", [False, True])
+@pytest.mark.parametrize("output_stride", [1, 2])
+def test_hand_seg_net_answers_at_input_size(skips: bool, output_stride: int):
+    net = HandSegNet(dataclasses.replace(TINY_SEG, skips=skips, output_stride=output_stride))
+    segmentation, energy = net(torch.zeros(2, 3, 64, 96))
+    assert segmentation.shape == (2, 3, 64, 96)
+    assert energy.shape == (2, 2, 64, 96)
+
+
+def test_hand_seg_net_bottom_is_a_32nd_of_the_input():
+    net = HandSegNet(TINY_SEG).eval()
+    x = net.pool(net.stem(torch.zeros(1, 3, 64, 96)))
+    sizes = []
+    for layer in net.down:
+        x = layer(x)
+        sizes.append(tuple(x.shape[2:]))
+    assert sizes == [(16, 24), (8, 12), (4, 6), (2, 3)]
+
+
+def test_skips_carry_detail_past_the_bottom():
+    torch.manual_seed(0)
+    with_skips = HandSegNet(dataclasses.replace(TINY_SEG, skips=True)).eval()
+    for layer in with_skips.down[-1].parameters():  # cut the path through the bottom
+        layer.data.zero_()
+    a, b = torch.randn(2, 1, 3, 64, 96)
+    assert not torch.allclose(with_skips(a)[0], with_skips(b)[0])
+
+
+def test_pose_net_3d_has_8_residual_blocks_and_2_fully_connected_layers_before_the_output():
+    net = PoseNet3D(PoseNet3DConfig())
+    assert count_blocks(net) == 8
+    linear = [m for m in net.modules() if isinstance(m, nn.Linear)]
+    assert [(m.in_features, m.out_features) for m in linear] == [(512, 512), (512, 512), (512, 63)]
+
+
+def test_pose_net_3d_size_by_hand():
+    def block(inputs: int, outputs: int) -> int:
+        shortcut = inputs * outputs + 2 * outputs if inputs != outputs else 0
+        return 9 * inputs * outputs + 9 * outputs * outputs + 4 * outputs + shortcut
+
+    stem = 49 * 21 * 64 + 2 * 64
+    blocks = sum(block(a, b) + block(b, b) for a, b in ((64, 64), (64, 128), (128, 256), (256, 512)))
+    heads = 2 * (512 * 512 + 512) + 512 * 63 + 63
+    assert parameters(PoseNet3D(PoseNet3DConfig())) == stem + blocks + heads
+
+
+def test_pose_net_3d_output_is_canonical_with_the_root_at_zero():
+    joints = PoseNet3D(PoseNet3DConfig(width=0.125)).eval()(torch.rand(3, 21, 32, 32))
+    assert joints.shape == (3, 21, 3)
+    assert torch.equal(joints[:, ROOT], torch.zeros(3, 3))
+
+
+def test_cpm9_size_by_hand():
+    def conv_bn(inputs: int, outputs: int, kernel: int) -> int:
+        return kernel**2 * inputs * outputs + 2 * outputs
+
+    features = conv_bn(3, 128, 9) + 2 * conv_bn(128, 128, 9)
+    first = features + conv_bn(128, 32, 5) + conv_bn(32, 512, 9) + conv_bn(512, 512, 1) + 512 * 21 + 21
+    shared = features + conv_bn(128, 32, 5)
+    later = conv_bn(32 + 21, 128, 11) + 2 * conv_bn(128, 128, 11) + conv_bn(128, 128, 1) + 128 * 21 + 21
+    with torch.device("meta"):
+        assert parameters(PoseNet2D(PAPER.pose_net_2d)) == first + shared + 5 * later
+
+
+@pytest.mark.parametrize("variant", ["cpm9", "vgg"])
+def test_pose_machine_gives_one_set_of_maps_per_stage(variant):
+    net = PoseNet2D(PoseNet2DConfig(variant, stages=3, width=0.07)).eval()
+    outputs = net(torch.zeros(1, 3, 256, 256))
+    assert [tuple(maps.shape) for maps in outputs] == [(1, 21, 32, 32)] * 3
+    assert torch.equal(net.heatmaps(outputs), outputs[-1])
+
+
+@pytest.mark.parametrize("variant", ["cpm9", "vgg"])
+def test_batch_norm_follows_every_convolution_but_the_stage_outputs(variant):
+    def counts(batch_norm: bool) -> tuple[int, int]:
+        with torch.device("meta"):
+            net = PoseNet2D(PoseNet2DConfig(variant, stages=3, batch_norm=batch_norm))
+        modules = list(net.modules())
+        return sum(isinstance(m, nn.Conv2d) for m in modules), sum(isinstance(m, nn.BatchNorm2d) for m in modules)
+
+    convolutions, normalisations = counts(True)
+    assert normalisations == convolutions - 3
+    assert counts(False) == (convolutions, 0)
+
+
+def test_encoder_decoder_shape():
+    net = PoseNet2D(TINY_2D).eval()
+    outputs = net(torch.zeros(2, 3, 128, 128))
+    assert [tuple(maps.shape) for maps in outputs] == [(2, 21, 32, 32)]
+
+
+def test_softmax_heatmaps_of_a_gaussian_have_peak_1_at_z_0_and_2_to_the_z_elsewhere():
+    net = PoseNet2D(TINY_2D)
+    cells = torch.arange(32) + 0.5
+    distance = (cells[:, None] - 16.5) ** 2 + (cells[None] - 16.5) ** 2
+    for z in (-1.0, 0.0, 1.0):
+        deviation = TINY_2D.sigma * 2 ** (-z / 2)
+        logits = (-distance / (2 * deviation**2)).expand(1, 21, 32, 32)
+        peak = net.heatmaps([logits])[0, 0, 16, 16].item()
+        assert peak == pytest.approx(2.0**z, rel=0.01)
+
+
+def test_probabilities_sum_to_one():
+    sums = PoseNet2D(TINY_2D).probabilities(5 * torch.randn(2, 21, 32, 32)).sum(dim=(2, 3))
+    assert torch.allclose(sums, torch.ones(2, 21))
+
+
+def test_width_scales_the_channels():
+    with torch.device("meta"):
+        full, half = (parameters(PoseNet3D(PoseNet3DConfig(width=w))) for w in (1.0, 0.5))
+    assert 3.5 < full / half < 4.0
+
+
+def test_the_presets_can_be_built():
+    with torch.device("meta"):
+        for preset in (PAPER, SLIM):
+            for name in ("hand_seg_net", "pose_net_2d", "pose_net_3d"):
+                assert parameters(build_network(name, getattr(preset, name))) > 0
+
+
+@pytest.mark.parametrize(
+    ("kind", "values", "named"),
+    [
+        (HandSegNetConfig, {"height": 270}, "270"),
+        (HandSegNetConfig, {"width": -1.0}, "-1.0"),
+        (HandSegNetConfig, {"output_stride": 4}, "4"),
+        (PoseNet2DConfig, {"variant": "cpm7"}, "cpm7"),
+        (PoseNet2DConfig, {"crop_size": 128}, "128"),
+        (PoseNet2DConfig, {"variant": "encoder-decoder", "crop_size": 128, "stages": 2}, "2"),
+        (PoseNet2DConfig, {"activation": "relu"}, "relu"),
+        (PoseNet2DConfig, {"sigma": math.nan}, "nan"),
+        (PoseNet3DConfig, {"width": 0.0}, "0.0"),
+    ],
+)
+def test_bad_shapes_are_refused_with_the_value(kind, values, named):
+    with pytest.raises(InputError, match=named):
+        kind(**values)
+
+
+def test_config_from_dict_refuses_unknown_fields_and_networks():
+    assert config_from_dict("pose_net_3d", {"width": 0.5}) == PoseNet3DConfig(width=0.5)
+    with pytest.raises(InputError, match="depth"):
+        config_from_dict("pose_net_3d", {"depth": 3})
+    with pytest.raises(InputError, match="pose_net_4d"):
+        config_from_dict("pose_net_4d", {})
+    with pytest.raises(InputError, match="HandSegNetConfig"):
+        build_network("pose_net_3d", TINY_SEG)

@@ -1,0 +1,69 @@
+"""Backgrounds: right size, varied, reproducible, and clear errors for bad folders."""
+
+import cv2
+import numpy as np
+import pytest
+
+from twohands.errors import InputError
+from twohands.synth.backgrounds import BackgroundFolder, MixedBackgrounds, ProceduralBackgrounds, augment
+
+
+def write(path, colour, size=(60, 80)):
+    cv2.imwrite(str(path), np.full((*size, 3), colour, np.uint8))
+
+
+@pytest.mark.parametrize("size", [(480, 270), (64, 64), (33, 100)])
+def test_procedural_has_the_asked_size_and_varies(size):
+    width, height = size
+    source = ProceduralBackgrounds()
+    pictures = [source.sample(np.random.default_rng(i), width, height) for i in range(6)]
+    for picture in pictures:
+        assert picture.shape == (height, width, 3) and picture.dtype == np.uint8
+        assert picture.std() > 3
+    assert len({picture.tobytes() for picture in pictures}) == 6
+    again = source.sample(np.random.default_rng(0), width, height)
+    np.testing.assert_array_equal(again, pictures[0])
+
+
+def test_folder_is_searched_deeply_and_skips_what_is_no_picture(tmp_path):
+    (tmp_path / "a" / "b").mkdir(parents=True)
+    write(tmp_path / "a" / "b" / "one.png", (0, 0, 200))
+    (tmp_path / "broken.jpg").write_bytes(b"no picture")
+    (tmp_path / "empty.png").write_bytes(b"")
+    (tmp_path / "notes.txt").write_text("hello")
+    folder = BackgroundFolder(tmp_path)
+    assert [path.name for path in folder.files] == ["one.png", "broken.jpg"]
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        picture = folder.sample(rng, 40, 30)
+        assert picture.shape == (30, 40, 3)
+        assert picture[..., 0].mean() > picture[..., 2].mean() + 50  # red in RGB order
+
+
+def test_bad_folders_are_named(tmp_path):
+    with pytest.raises(InputError, match="does not exist"):
+        BackgroundFolder(tmp_path / "nowhere")
+    with pytest.raises(InputError, match="no background picture"):
+        BackgroundFolder(tmp_path)
+    (tmp_path / "broken.jpg").write_bytes(b"no picture")
+    with pytest.raises(InputError, match="cannot be read"):
+        BackgroundFolder(tmp_path).sample(np.random.default_rng(0), 40, 30)
+
+
+def test_mixture_keeps_its_weights(tmp_path):
+    (tmp_path / "red").mkdir()
+    (tmp_path / "blue").mkdir()
+    write(tmp_path / "red" / "r.png", (0, 0, 255))
+    write(tmp_path / "blue" / "b.png", (255, 0, 0))
+    mixed = MixedBackgrounds((BackgroundFolder(tmp_path / "red"), BackgroundFolder(tmp_path / "blue")), (3.0, 1.0))
+    rng = np.random.default_rng(0)
+    red = [mixed.sample(rng, 32, 32)[..., 0].mean() > 60 for _ in range(400)]
+    assert 0.68 < np.mean(red) < 0.82
+
+
+def test_augment_crops_flips_and_leaves_its_input_alone():
+    ramp = np.repeat(np.arange(200, dtype=np.uint8)[None, :, None], 100, axis=0).repeat(3, axis=2)
+    before = ramp.copy()
+    slopes = [np.sign(np.diff(augment(ramp, np.random.default_rng(i), 64, 36)[..., 1].mean(0)).sum()) for i in range(60)]
+    np.testing.assert_array_equal(ramp, before)
+    assert 0.3 < np.mean(np.array(slopes) > 0) < 0.7

@@ -1,0 +1,144 @@
+"""Sets on disk: the official layout, any number of workers, resumable, never overwriting."""
+
+import json
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+
+from twohands.errors import InputError
+from twohands.geometry.canonical import canonical_from_camera
+from twohands.skeleton import ROOT
+from twohands.synth.cache import FrameCache, build_cache
+from twohands.synth.config import SynthConfig
+from twohands.synth.generate import StaticSet, generate_static
+from twohands.synth.stream import SyntheticStream
+
+CONFIG = SynthConfig(width=240, height=135)
+SET = StaticSet(CONFIG, seed=9, count=6)
+
+
+def contents(folder):
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    out = tmp_path_factory.mktemp("sets") / "one"
+    assert generate_static(SET, out) == 6
+    return out
+
+
+def test_two_workers_write_the_same_bytes(written, tmp_path):
+    generate_static(SET, tmp_path / "two", workers=2)
+    assert contents(tmp_path / "two") == contents(written)
+
+
+def test_a_rerun_writes_only_what_is_missing(written, tmp_path):
+    copy = tmp_path / "copy"
+    shutil.copytree(written, copy)
+    shutil.rmtree(copy / "00003")
+    (copy / ".00004.1.partial").mkdir()
+    assert generate_static(SET, copy) == 1
+    shutil.rmtree(copy / ".00004.1.partial")
+    assert contents(copy) == contents(written)
+
+
+def test_another_set_is_never_overwritten(written, tmp_path):
+    with pytest.raises(InputError, match="seed"):
+        generate_static(StaticSet(CONFIG, seed=10, count=6), written)
+    with pytest.raises(InputError, match="config"):
+        generate_static(StaticSet(SynthConfig(), seed=9, count=6), written)
+    foreign = tmp_path / "foreign"
+    foreign.mkdir()
+    (foreign / "thesis.txt").write_text("mine")
+    with pytest.raises(InputError, match="not empty"):
+        generate_static(SET, foreign)
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(InputError, match="cannot be written"):
+        generate_static(SET, tmp_path / "file" / "out")
+
+
+def test_count_must_be_positive(tmp_path):
+    with pytest.raises(InputError, match="count"):
+        generate_static(StaticSet(CONFIG, 0, 0), tmp_path / "x")
+
+
+def test_files_follow_the_official_layout(written):
+    """Read with plain cv2 and numpy, from the description of the format alone (SPEC 1.1)."""
+    for folder in sorted(p for p in written.iterdir() if p.is_dir()):
+        color = cv2.imread(str(folder / "color.png"), cv2.IMREAD_UNCHANGED)
+        image = cv2.imread(str(folder / "color_new.png"), cv2.IMREAD_UNCHANGED)
+        labels = cv2.imread(str(folder / "gt_seg.png"), cv2.IMREAD_UNCHANGED)
+        depth = cv2.imread(str(folder / "depth.png"), cv2.IMREAD_UNCHANGED).astype(float)
+        p2, p3, can = (np.load(folder / f"location_{n}.npy") for n in ("2d", "3d_global", "3d_canonical"))
+        assert color.shape == (135, 240, 4) and image.shape == labels.shape == (135, 240, 3)
+        assert p2.shape == (2, 22, 2) and p3.shape == can.shape == (2, 22, 3) and p2.dtype == np.float64
+        assert (labels[..., 0] == labels[..., 2]).all() and labels.max() <= 14
+        depth_cm = depth[..., 0] + 0.01 * depth[..., 1] + 0.0001 * depth[..., 2]  # B, G, R
+        np.testing.assert_array_equal(labels[..., 0] > 0, depth_cm > 0)
+        np.testing.assert_array_equal(labels[..., 0] > 0, color[..., 3] > 0)
+        opaque = color[..., 3] == 255
+        np.testing.assert_array_equal(image[opaque], color[opaque][:, :3])
+        for side in (0, 1):
+            if (p3[side] == 0).all():
+                assert (p2[side] == 0).all() and (can[side] == 0).all()
+                continue
+            row, col, z = p3[side].T
+            f = 187.932202 * 135 / 270
+            np.testing.assert_allclose(p2[side, :, 0], (f * row / z + 67.5) / 135, atol=1e-9)
+            np.testing.assert_allclose(p2[side, :, 1], (f * col / z + 120) / 240, atol=1e-9)
+            assert np.linalg.norm(p3[side, 1] - p3[side, 10]) == pytest.approx(10.0, abs=0.02)
+            np.testing.assert_allclose(can[side, 10], 0, atol=1e-12)
+            assert np.linalg.norm(can[side, 1]) == pytest.approx(1)
+            joints = p3[side, 1:][:, [1, 0, 2]]
+            np.testing.assert_allclose(canonical_from_camera(joints).joints, can[side, 1:][:, [1, 0, 2]], atol=1e-9)
+            # The elbow is carried along rigidly.
+            length = np.linalg.norm(p3[side, 0] - p3[side, 10])
+            assert np.linalg.norm(can[side, 0]) * 10.0 == pytest.approx(length, rel=2e-3)
+            assert np.linalg.norm(joints[ROOT]) > 10
+
+
+def test_manifest_says_how_it_was_made(written):
+    manifest = json.loads((written / "manifest.json").read_text())
+    assert manifest["seed"] == 9 and manifest["config"]["width"] == 240 and manifest["backgrounds"] == "procedural"
+
+
+def test_stream_items_are_a_pure_function_of_the_index():
+    import pickle
+
+    stream = SyntheticStream(CONFIG, 9, 6)
+    later = stream[4].image
+    copy = pickle.loads(pickle.dumps(stream))
+    np.testing.assert_array_equal(copy[4].image, later)
+    np.testing.assert_array_equal(stream[4].image, later)
+    sample = stream[0]
+    assert sample.joints_px.shape == (2, 21, 2) and sample.joints_m.shape == (2, 21, 3)
+    np.testing.assert_array_equal(sample.valid.all(1), sample.present)
+    with pytest.raises(IndexError):
+        stream[6]
+
+
+def test_stream_and_set_agree(written):
+    sample = SyntheticStream(CONFIG, 9, 6)[2]
+    image = cv2.imread(str(written / "00002" / "color_new.png"))[..., ::-1]
+    np.testing.assert_array_equal(image, sample.image)
+
+
+def test_cache_resumes_and_varies_backgrounds(tmp_path):
+    build_cache(tmp_path / "c", CONFIG, 9, 4)
+    before = contents(tmp_path / "c")
+    build_cache(tmp_path / "c", CONFIG, 9, 4)
+    assert contents(tmp_path / "c") == before
+    with pytest.raises(InputError, match="another configuration"):
+        build_cache(tmp_path / "c", CONFIG, 10, 4)
+    cache = FrameCache(tmp_path / "c", variants=3)
+    assert len(cache) == 12
+    first, second, same = cache[1], cache[5], cache[1]
+    np.testing.assert_array_equal(first.labels, second.labels)
+    np.testing.assert_array_equal(first.image, same.image)
+    assert not np.array_equal(first.image, second.image)
+    np.testing.assert_allclose(first.joints_m, SyntheticStream(CONFIG, 9, 4)[1].joints_m, atol=1e-6)
+    empty = FrameCache(tmp_path / "c", empty_rate=1.0)[0]
+    assert not empty.present.any() and not empty.labels.any() and empty.image.std() > 0

@@ -1,0 +1,157 @@
+"""Rendered labels against the geometry they come from."""
+
+import cv2
+import numpy as np
+import pytest
+
+from twohands import skeleton
+from twohands.geometry.camera import project
+from twohands.synth.body import load_asset, skin
+from twohands.synth.compositing import compose
+from twohands.synth.config import SynthConfig
+from twohands.synth.render.raster import RasterRenderer
+from twohands.synth.render.surface import surface, vertex_normals
+from twohands.synth.scene import sample_scene
+
+CONFIG = SynthConfig(width=480, height=270)
+
+
+@pytest.fixture(scope="module")
+def renderer():
+    return RasterRenderer(480, 270)
+
+
+@pytest.fixture(scope="module")
+def rendered(renderer):
+    scenes = [sample_scene(CONFIG, 11, i) for i in range(12)]
+    return [(scene, renderer.render(scene)) for scene in scenes]
+
+
+def test_one_mask_for_colour_labels_and_depth(rendered):
+    for _, frame in rendered:
+        mask = frame.part_labels > 0
+        assert mask.any()
+        np.testing.assert_array_equal(mask, frame.depth_m > 0)
+        np.testing.assert_array_equal(mask, frame.alpha > 0)
+        assert (frame.rgb[~mask] == 0).all()
+        assert frame.part_labels.max() <= 14
+
+
+def test_vertices_project_onto_the_mask_at_their_depth(rendered):
+    """The shader skins and projects as the numpy route does: most visible vertices meet their own depth."""
+    on_surface = []
+    for scene, frame in rendered:
+        vertices = skin(scene.body, scene.transforms) * scene.scale
+        asset = load_asset()
+        vertices = vertices[scene.present[asset.side]]
+        inside = vertices[:, 2] > 0.05
+        px = project(vertices[inside], scene.camera)
+        z = vertices[inside, 2]
+        ok = ((px > 0) & (px < [480, 270])).all(1)
+        col, row = px[ok].astype(int).T
+        seen = frame.depth_m[row, col]
+        # No vertex lies in front of the picture's surface, and many lie on it; away from edges, where one pixel
+        # holds several depths.
+        inner = cv2.erode((frame.depth_m > 0).astype(np.uint8), np.ones((3, 3), np.uint8))
+        slope = cv2.dilate(frame.depth_m, np.ones((3, 3))) - cv2.erode(frame.depth_m, np.ones((3, 3)))
+        assert (seen > 0).mean() > 0.9
+        smooth = (inner[row, col] > 0) & (slope[row, col] < 0.006)
+        gap = z[ok][smooth] - seen[smooth]
+        assert np.percentile(gap, 0.5) > -0.006
+        on_surface.append((np.abs(gap) < 0.004).mean())
+    assert np.mean(on_surface) > 0.2
+
+
+def test_joints_lie_behind_their_own_part(rendered):
+    """A visible joint is inside the finger: its depth is behind the surface by at most the hand's thickness."""
+    gaps = []
+    for scene, frame in rendered:
+        for side in np.flatnonzero(scene.present):
+            joints = scene.joints_m[side, 1:]
+            col, row = project(joints, scene.camera).astype(int).T
+            labels = frame.part_labels[row, col]
+            for finger in range(5):
+                for joint in range(2 + 4 * finger, 5 + 4 * finger):
+                    if labels[joint] == skeleton.part_label(side, 2 + finger):
+                        gaps.append(joints[joint, 2] - frame.depth_m[row[joint], col[joint]])
+    gaps = np.array(gaps)
+    assert len(gaps) > 100
+    assert np.percentile(gaps, 2) > -0.001 and np.percentile(gaps, 98) < 0.03
+
+
+def test_absent_hand_leaves_no_label(rendered, renderer):
+    scene = next(s for s in (sample_scene(CONFIG, 11, i) for i in range(100)) if not s.present[0])
+    frame = renderer.render(scene)
+    assert set(np.unique(frame.part_labels)) <= {0, *range(8, 15)}
+
+
+def test_rendering_twice_gives_the_same_bytes(renderer, rendered):
+    scene, frame = rendered[3]
+    again = renderer.render(scene)
+    for name in ("rgb", "alpha", "depth_m", "part_labels"):
+        np.testing.assert_array_equal(getattr(frame, name), getattr(again, name))
+
+
+def test_the_left_arm_enters_from_the_left(rendered):
+    lower_left = sum((frame.part_labels[-40:, :240] == 1).sum() for _, frame in rendered)
+    lower_right = sum((frame.part_labels[-40:, 240:] == 1).sum() for _, frame in rendered)
+    assert lower_left > 3 * lower_right
+
+
+def test_other_size_is_refused(renderer):
+    with pytest.raises(ValueError, match="960x540"):
+        renderer.render(sample_scene(SynthConfig(), 0, 0))
+
+
+def test_scale_changes_numbers_not_pictures(renderer):
+    small = renderer.render(sample_scene(CONFIG, 2, 0))
+    own = renderer.render(sample_scene(SynthConfig(width=480, height=270, hand_length=None), 2, 0))
+    assert (small.part_labels != own.part_labels).mean() < 1e-3
+    both = (small.depth_m > 0) & (own.depth_m > 0) & (small.part_labels == own.part_labels)
+    ratio = own.depth_m[both] / small.depth_m[both]
+    assert np.median(ratio) == pytest.approx(load_asset().body().hand_length_m / 0.10, rel=1e-3)
+
+
+def test_normals_of_a_cube_point_outwards():
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
+    faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    triangles = np.array([t for a, b, c, d in faces for t in ((a, b, c), (a, c, d))])
+    normals = vertex_normals(corners, triangles)
+    assert ((normals * corners).sum(1) > 0.5).all()
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1)
+
+
+def test_the_arms_normals_point_outwards():
+    body = load_asset().body()
+    normals = vertex_normals(body.vertices, body.asset.faces)
+    inner = body.vertices - 0.002 * normals
+    # Moving inwards shrinks the arm: the enclosed volume (by the divergence theorem) falls.
+    def volume(v):
+        a, b, c = (v[body.asset.faces[:, k]] for k in range(3))
+        return (np.cross(a, b) * c).sum() / 6
+
+    assert 0 < volume(inner) < volume(body.vertices)
+
+
+def test_nails_are_on_the_back():
+    attributes, asset = surface(), load_asset()
+    on_nail = (attributes.nail[:, 0] > 0.5) & (attributes.nail[:, 2] > 0.6) & (np.abs(attributes.nail[:, 1]) < 0.5)
+    assert on_nail.sum() >= 20
+    assert attributes.palmar[on_nail].max() < 0.5
+    assert set(asset.side[on_nail]) == {0, 1}
+
+
+def test_compose_by_hand():
+    rgb = np.full((1, 3, 3), 200, np.uint8)
+    background = np.full((1, 3, 3), 100, np.uint8)
+    out = compose(rgb, np.array([[0, 255, 51]], np.uint8), background)
+    # 51 / 255 = 1/5: 200 / 5 + 100 * 4 / 5 = 120.
+    assert out[0, :, 0].tolist() == [100, 200, 120]
+
+
+def test_edges_are_smooth(rendered):
+    _, frame = rendered[0]
+    edge = cv2.morphologyEx((frame.part_labels > 0).astype(np.uint8), cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8))
+    partial = (frame.alpha > 0) & (frame.alpha < 255)
+    assert partial.sum() > 50
+    assert (edge[partial] > 0).mean() > 0.95

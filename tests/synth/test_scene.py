@@ -1,0 +1,117 @@
+"""Scenes: reproducible, inside the box and the picture, hands apart."""
+
+import numpy as np
+import pytest
+
+from twohands.errors import InputError
+from twohands.geometry.camera import project
+from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
+from twohands.synth.collision import segment_distance
+from twohands.synth.config import SynthConfig
+from twohands.synth.scene import sample_lighting, sample_scene, sample_skin
+
+CONFIG = SynthConfig(width=480, height=270)
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    return [sample_scene(CONFIG, 7, i) for i in range(60)]
+
+
+def test_same_seed_and_index_same_scene_whatever_came_before():
+    first = sample_scene(CONFIG, 3, 5)
+    sample_scene(CONFIG, 3, 6)
+    again = sample_scene(CONFIG, 3, 5)
+    np.testing.assert_array_equal(first.joints_m, again.joints_m)
+    np.testing.assert_array_equal(first.transforms, again.transforms)
+    np.testing.assert_array_equal(first.skin.albedo, again.skin.albedo)
+    other = sample_scene(CONFIG, 4, 5)
+    assert not np.array_equal(first.joints_m, other.joints_m)
+
+
+def test_hand_length_is_ten_centimetres(scenes):
+    for scene in scenes:
+        for side in np.flatnonzero(scene.present):
+            hand = scene.joints_m[side, 1:]
+            assert np.linalg.norm(hand[WRIST] - hand[ROOT]) == pytest.approx(0.10, abs=2e-4)
+
+
+def test_hands_are_in_their_box_and_in_the_picture(scenes):
+    low, high = np.array(CONFIG.box_min), np.array(CONFIG.box_max)
+    for scene in scenes:
+        for side in np.flatnonzero(scene.present):
+            root = scene.joints_m[side, 1 + ROOT] / scene.scale
+            if side == RIGHT:
+                root = root * [-1, 1, 1]
+            assert (root > low - 1e-9).all() and (root < high + 1e-9).all()
+            px = project(scene.joints_m[side, 1:], scene.camera)
+            assert (px > 0).all() and (px < [480, 270]).all()
+
+
+def test_absent_hands_are_nan_and_rare():
+    present = np.array([sample_scene(CONFIG, 1, i).present for i in range(300)])
+    assert present.any(1).all()
+    # Each hand is dropped with p = 0.1, both never: 0.1 - 0.01 / 2 of the hands are missing.
+    assert 0.06 < 1 - present.mean() < 0.14
+    scene = next(s for s in (sample_scene(CONFIG, 1, i) for i in range(300)) if not s.present.all())
+    assert np.isnan(scene.joints_m[~scene.present]).all()
+    assert np.isfinite(scene.joints_m[scene.present]).all()
+
+
+def test_poses_vary_and_left_hands_are_mostly_on_the_left(scenes):
+    both = [s for s in scenes if s.present.all()]
+    roots = np.array([s.joints_m[:, 1 + ROOT] for s in both])
+    assert (roots[:, LEFT, 0] < roots[:, RIGHT, 0]).mean() > 0.7
+    assert roots.std(0).min() > 0.03
+
+
+def test_unreachable_box_is_one_clear_error():
+    config = SynthConfig(box_min=(-0.2, -0.1, 1.5), box_max=(0.2, 0.1, 1.6))
+    with pytest.raises(InputError, match="hand box"):
+        sample_scene(config, 0, 0)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"width": 1},
+        {"drop_rate": 1.0},
+        {"body_variation": -1.0},
+        {"hand_length": 0.0},
+        {"box_min": (0.3, 0, 0.2)},
+        {"box_min": (-0.3, -0.1, -0.2)},
+        {"skin_tones": (0.9, 0.1)},
+        {"lights": 0},
+        {"image_margin": 0.5},
+    ],
+)
+def test_nonsense_is_refused(changes):
+    with pytest.raises(InputError):
+        SynthConfig(**changes)
+
+
+def test_skin_covers_light_and_dark():
+    rng = np.random.default_rng(0)
+    light = [sample_skin(SynthConfig(skin_tones=(0.0, 0.1)), rng).albedo.mean() for _ in range(30)]
+    dark = [sample_skin(SynthConfig(skin_tones=(0.9, 1.0)), rng).albedo.mean() for _ in range(30)]
+    assert min(light) > 5 * max(dark)
+    for tone in (0.0, 0.5, 1.0):
+        skin = sample_skin(SynthConfig(skin_tones=(tone, tone)), rng)
+        assert skin.albedo[0] > skin.albedo[2] and np.all(skin.albedo > 0) and np.all(skin.albedo < 1)
+
+
+def test_lighting_has_the_asked_number_of_lights():
+    assert sample_lighting(SynthConfig(lights=3), np.random.default_rng(0)).positions.shape == (3, 3)
+
+
+def test_segment_distance_by_hand():
+    a0, a1 = np.array([[0.0, 0, 0]]), np.array([[1.0, 0, 0]])
+    cases = [
+        (([0.5, 1, 0], [0.5, 2, 0]), 1.0),  # perpendicular, nearest at an end
+        (([0.5, -1, 3], [0.5, 1, 3]), 3.0),  # crossing above
+        (([3, 4, 0], [6, 4, 0]), np.hypot(2, 4)),  # collinear direction, end to end
+        (([0.2, 0, 0], [0.4, 0, 0]), 0.0),  # overlapping
+        (([2, 0, 0], [2, 0, 0]), 1.0),  # a point
+    ]
+    for (b0, b1), expected in cases:
+        assert segment_distance(a0, a1, np.array([b0], float), np.array([b1], float))[0] == pytest.approx(expected)

@@ -1,0 +1,217 @@
+"""The loop learns, resumes exactly, and keeps what it promises on disk."""
+
+import csv
+import dataclasses
+import os
+import signal
+
+import pytest
+import torch
+
+from tests.builders import make_samples
+from tests.training.tiny import plain, tiny_run
+from twohands.errors import CheckpointError, InputError
+from twohands.models.checkpoint import load_network, read_note, same_weights, save_network
+from twohands.models.pose_net_2d import PoseNet2D
+from twohands.training.config import OptimConfig, TrainConfig
+from twohands.training.stages import build_stage
+from twohands.training.trainer import build_optimizer, train
+
+SAMPLES = make_samples(6)
+STAGES = ("hand_seg_net", "pose_net_2d", "pose_net_3d")
+
+
+def pose_weights(folder) -> list:
+    """A fresh PoseNet2D on disk, for the stage that needs one."""
+    torch.manual_seed(5)
+    path = folder / "start" / "pose_net_2d.safetensors"
+    save_network("pose_net_2d", PoseNet2D(tiny_run("pose_net_2d").networks.pose_net_2d), path)
+    return [path]
+
+
+def start_weights(stage: str, folder) -> list:
+    return pose_weights(folder) if stage == "pose_net_3d" else []
+
+
+def rows(folder) -> list[dict[str, str]]:
+    with (folder / "log.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.mark.parametrize(
+    ("stage", "iterations", "figure", "reached"),
+    [
+        ("hand_seg_net", 100, "miou", lambda value: value > 0.7),
+        ("pose_net_2d", 60, "crop_px_mean", lambda value: value < 4),
+        ("pose_net_3d", 80, "canonical_mean", lambda value: value < 0.3),
+    ],
+)
+def test_two_pictures_are_learnt_by_heart(tmp_path, stage, iterations, figure, reached):
+    config = plain(tiny_run(stage, iterations=iterations, validate_every=1000))
+    result = train(config, SAMPLES[:2], SAMPLES[:2], tmp_path / "run", weights=start_weights(stage, tmp_path))
+    assert result.iterations == iterations
+    assert reached(result.figures[figure]), result.figures
+    untrained = train(
+        dataclasses.replace(config, iterations=1, optim=dataclasses.replace(config.optim, learning_rate=0.0)),
+        SAMPLES[:2], SAMPLES[:2], tmp_path / "none", weights=start_weights(stage, tmp_path),
+    )  # fmt: skip
+    assert not reached(untrained.figures[figure]), "the check could not fail"
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_interrupted_and_resumed_equals_undisturbed(tmp_path, stage):
+    config = tiny_run(stage, iterations=7, validate_every=3, log_every=1)
+    weights = start_weights(stage, tmp_path)
+    whole = train(config, SAMPLES, SAMPLES[:2], tmp_path / "whole", weights=weights)
+    train(config, SAMPLES, SAMPLES[:2], tmp_path / "parts", weights=weights, stop_after=4)
+    parts = train(config, SAMPLES, SAMPLES[:2], tmp_path / "parts", resume=True)
+    assert parts.iterations == whole.iterations == 7
+    for name in whole.checkpoints:
+        assert same_weights(load_network(name, whole.checkpoints[name]), load_network(name, parts.checkpoints[name]))
+    assert whole.figures == parts.figures
+    columns = ("iteration", "split", "metric", "value")
+    train_rows = [
+        [tuple(row[c] for c in columns) for row in rows(tmp_path / run) if row["split"] == "train"]
+        for run in ("whole", "parts")
+    ]
+    assert train_rows[0] == train_rows[1]
+
+
+def test_resume_needs_the_optimizer_state(tmp_path):
+    """The comparison above notices a lost optimizer state: restarting from weights alone ends elsewhere."""
+    config = tiny_run("hand_seg_net", iterations=4, validate_every=100)
+    whole = train(config, SAMPLES, [], tmp_path / "whole")
+    train(config, SAMPLES, [], tmp_path / "half", stop_after=2)
+    again = train(config, SAMPLES, [], tmp_path / "again", weights=[tmp_path / "half" / "hand_seg_net.safetensors"])
+    networks = [load_network("hand_seg_net", run.checkpoints["hand_seg_net"]) for run in (whole, again)]
+    assert not same_weights(*networks)
+
+
+def test_a_signal_ends_the_run_after_the_step_and_it_can_go_on(tmp_path):
+    class Interrupting(list):
+        def __getitem__(self, index):
+            if isinstance(index, int) and self.armed:
+                os.kill(os.getpid(), signal.SIGTERM)
+            return super().__getitem__(index)
+
+    config = tiny_run("hand_seg_net", iterations=3)
+    source = Interrupting(SAMPLES)
+    source.armed = True
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(KeyboardInterrupt):
+        train(config, source, [], tmp_path / "run")
+    assert signal.getsignal(signal.SIGTERM) is before
+    source.armed = False
+    assert train(config, source, [], tmp_path / "run", resume=True).iterations == 3
+
+
+def test_a_used_folder_and_a_missing_run_are_refused(tmp_path):
+    config = tiny_run("hand_seg_net", iterations=1)
+    with pytest.raises(InputError, match="no training run to resume"):
+        train(config, SAMPLES, [], tmp_path / "run", resume=True)
+    train(config, SAMPLES, [], tmp_path / "run")
+    with pytest.raises(InputError, match="already holds a training run"):
+        train(config, SAMPLES, [], tmp_path / "run")
+
+
+def test_resuming_with_other_networks_is_refused(tmp_path):
+    train(tiny_run("hand_seg_net", iterations=1), SAMPLES, [], tmp_path / "run")
+    with pytest.raises(CheckpointError, match="other networks"):
+        train(tiny_run("pose_net_2d", iterations=2), SAMPLES, [], tmp_path / "run", resume=True)
+
+
+def test_log_config_and_note(tmp_path):
+    lines: list[str] = []
+    config = tiny_run("pose_net_2d", iterations=4, log_every=2, validate_every=2, seed=3)
+    result = train(config, SAMPLES, SAMPLES[:2], tmp_path / "run", report=lines.append)
+    logged = rows(tmp_path / "run")
+    assert [int(row["iteration"]) for row in logged if row["metric"] == "loss"] == [2, 4]
+    assert [int(row["iteration"]) for row in logged if row["metric"] == "image_px_mean"] == [2, 4]
+    assert len(lines) == 4
+    parts = {row["metric"]: float(row["value"]) for row in logged if row["iteration"] == "2" and row["split"] == "train"}
+    assert parts["loss"] == pytest.approx(parts["heatmap"] + parts["soft_argmax"], rel=1e-4)
+    note = read_note(result.checkpoints["pose_net_2d"])
+    assert (note["recipe"], note["seed"], note["iterations"]) == ("ours", 3, 4)
+    assert note["crop"]["kind"] == "perspective"
+    assert not [file for file in (tmp_path / "run").iterdir() if "partial" in file.name]
+
+
+def test_minutes_end_a_run_and_count_over_resumes(tmp_path):
+    config = tiny_run("hand_seg_net", iterations=10_000, max_minutes=1 / 60, validate_every=100_000)
+    first = train(config, SAMPLES, [], tmp_path / "run")
+    assert 0 < first.iterations < 10_000
+    assert first.minutes >= 1 / 60
+    again = train(config, SAMPLES, [], tmp_path / "run", resume=True)
+    assert again.iterations == first.iterations
+
+
+def test_the_paper_keeps_pose_net_2d_fixed_and_ours_does_not(tmp_path):
+    weights = pose_weights(tmp_path)
+    start = load_network("pose_net_2d", weights[0])
+    for rate, fixed in ((0.0, True), (0.3, False)):
+        config = tiny_run("pose_net_3d", iterations=2)
+        config = dataclasses.replace(config, optim=dataclasses.replace(config.optim, along_rate=rate, ema=0.0))
+        stage = build_stage(config, weights)
+        stage.train()
+        optimizer = build_optimizer(stage, config.optim)
+        from twohands.training.batches import BatchDataset
+
+        sum(stage(BatchDataset(SAMPLES, config)[0], 0).values()).backward()
+        optimizer.step()
+        assert same_weights(stage.net_2d, start) == fixed
+        result = train(config, SAMPLES, [], tmp_path / f"run{rate}", weights=weights)
+        assert ("pose_net_2d" in result.checkpoints) != fixed
+
+
+def test_gradients_reach_pose_net_2d_through_the_maps(tmp_path):
+    from twohands.training.batches import BatchDataset
+
+    config = tiny_run("pose_net_3d", iterations=1)
+    config = dataclasses.replace(config, loss=dataclasses.replace(config.loss, heatmap_along=0.0))
+    stage = build_stage(config, pose_weights(tmp_path)).train()
+    losses = stage(BatchDataset(SAMPLES, config)[0], 0)
+    assert set(losses) == {"joint", "bone", "projection"}
+    losses["joint"].backward()
+    assert max(float(p.grad.abs().max()) for p in stage.net_2d.parameters()) > 0
+
+
+def test_pose_net_3d_needs_pose_net_2d(tmp_path):
+    with pytest.raises(InputError, match="needs the weights of a trained pose_net_2d"):
+        build_stage(tiny_run("pose_net_3d"))
+    with pytest.raises(CheckpointError, match="holds weights of 'pose_net_2d', but 'hand_seg_net'"):
+        build_stage(tiny_run("hand_seg_net"), pose_weights(tmp_path))
+
+
+def test_ideal_maps_replace_half_of_the_hands_at_first(tmp_path):
+    config = tiny_run("pose_net_3d", truth_maps=5)
+    stage = build_stage(config, pose_weights(tmp_path))
+    picks = torch.cat([stage._truth_picks(40, iteration).flatten() for iteration in range(20)])
+    assert 0.4 < picks.float().mean() < 0.6
+    assert torch.equal(stage._truth_picks(40, 3), stage._truth_picks(40, 3))
+
+
+def test_optimizers_of_the_recipes():
+    stage = build_stage(tiny_run("hand_seg_net"))
+    adam = build_optimizer(stage, OptimConfig(weight_decay=5e-4))
+    assert type(adam) is torch.optim.Adam
+    assert [group["weight_decay"] for group in adam.param_groups] == [5e-4]
+    assert adam.param_groups[0]["betas"] == (0.9, 0.999)
+    adamw = build_optimizer(stage, OptimConfig("adamw", weight_decay=0.01))
+    assert type(adamw) is torch.optim.AdamW
+    assert [group["weight_decay"] for group in adamw.param_groups] == [0.01, 0.0]
+    assert all(p.ndim == 1 for p in adamw.param_groups[1]["params"])
+    sgd = build_optimizer(stage, OptimConfig("sgd"))
+    assert sgd.param_groups[0]["momentum"] == 0
+
+
+def test_a_loss_that_is_not_finite_stops_the_run(tmp_path):
+    config = tiny_run("hand_seg_net", iterations=20)
+    config = dataclasses.replace(config, optim=OptimConfig("sgd", learning_rate=1e30))
+    with pytest.raises(InputError, match="not finite at iteration"):
+        train(config, SAMPLES, [], tmp_path / "run")
+
+
+def test_config_survives_json():
+    for stage in STAGES:
+        config = tiny_run(stage, seed=9)
+        assert TrainConfig.from_dict(config.to_dict()) == config
