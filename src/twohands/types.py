@@ -151,7 +151,7 @@ class GlobalPose:
     Attributes:
         joints_m: (..., 21, 3) camera frame, metres; NaN where not valid.
         radius_m: (...) distance of the root joint from the pinhole; NaN where not valid.
-        theta, phi: (...) direction of the root joint in radians (SPEC 5.1).
+        theta, phi: (...) direction of the root joint in radians (SPEC 5.1); known wherever its pixel is, else NaN.
         key_bone: (...) index into `skeleton.KEY_BONES` of the bone that was, or would be, used.
         valid: (...) bool.
     """

@@ -52,11 +52,20 @@ def test_lens_model_is_opencv(to, lens):
 
 
 def test_no_ray_where_the_lens_model_folds_back(to):
-    """x (1 - x^2 / 3) has its maximum 2/3 at x = 1: nothing is seen beyond, and no ray may be invented there."""
+    """x (1 - x^2 / 3) has its maximum 2/3 at x = 1: nothing is seen beyond, and no ray may be invented there.
+
+    The equation has solutions there (x = -2 gives 2/3 again), but they are on the far side of the fold.
+    """
     camera = PinholeCamera(100.0, 100.0, 100.0, 100.0, 200, 200, (-1 / 3, 0.0, 0.0, 0.0))
-    rays = np.asarray(unproject(to(np.array([[100.0 + 66.0, 100.0], [100.0 + 67.0, 100.0], [1e9, -1e9]])), camera))
-    assert 0.8 < rays[0, 0] < 1.0 and rays[0, 0] * (1 - rays[0, 0] ** 2 / 3) == pytest.approx(0.66)
-    assert np.isnan(rays[1:, :2]).all()
+    inside = np.asarray(unproject(to(np.array([100.0 + 66.0, 100.0])), camera))
+    assert 0.8 < inside[0] < 1.0 and inside[0] * (1 - inside[0] ** 2 / 3) == pytest.approx(0.66)
+    u, v = np.meshgrid(100 + np.linspace(67, 400, 300), 100 + np.linspace(-20, 20, 5))
+    beyond = np.concatenate([np.stack([u.ravel(), v.ravel()], axis=-1), [[1e9, -1e9], [np.inf, 0]]])
+    assert np.isnan(np.asarray(unproject(to(beyond), camera))[:, :2]).all()
+    # x - x^5 + 0.4 x^7 folds at 0.72, after 0.57, and grows again from 1.21: what is found out there is no ray either
+    regrowing = PinholeCamera(100.0, 100.0, 100.0, 100.0, 200, 200, (0.0, -1.0, 0.0, 0.0, 0.4))
+    rays = np.asarray(unproject(to(np.array([[100 + 50.0, 100.0], [100 + 150.0, 100.0]])), regrowing))
+    assert rays[0, 0] < 0.72 and np.isnan(rays[1, 0])
 
 
 def test_unseen_points_have_no_pixel(to):

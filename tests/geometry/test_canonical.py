@@ -83,20 +83,21 @@ def test_cartesian_alignment_keeps_the_rotation(to, hands):
 
 
 def test_absent_hands(to, hands):
-    joints_m = hands[0][:6].copy()
+    joints_m = hands[0][:7].copy()
     joints_m[0] = np.nan
     joints_m[1] = 0.0
     joints_m[2, 7, 1] = np.nan
     joints_m[3, 4] = np.inf
     joints_m[4, WRIST] = joints_m[4, ROOT]
+    joints_m[5] -= joints_m[5, ROOT]
     canonical = canonical_from_camera(to(joints_m))
-    assert np.asarray(canonical.valid).tolist() == [False, False, False, False, False, True]
+    assert np.asarray(canonical.valid).tolist() == [False] * 6 + [True]
     for values in (canonical.joints, canonical.hand_length_m, canonical.root_cam):
-        known = np.isfinite(np.asarray(values)).reshape(6, -1)
-        assert not known[:5].any() and known[5].all()
+        known = np.isfinite(np.asarray(values)).reshape(7, -1)
+        assert not known[:6].any() and known[6].all()
     for align in (spherical_alignment, cartesian_alignment):
-        aligned = np.asarray(align(to(np.ones((6, 21, 3))), 0.1, to(joints_m)))
-        assert np.isnan(aligned[:2]).all() and np.isfinite(aligned[[2, 3, 4, 5]]).all()  # these four roots are known
+        aligned = np.asarray(align(to(np.ones((7, 21, 3))), 0.1, to(joints_m)))
+        assert np.isnan(aligned[[0, 1, 5]]).all() and np.isfinite(aligned[[2, 3, 4, 6]]).all()  # these roots are known
 
 
 def test_batch_is_loop_and_inputs_stay(to, hands):

@@ -217,9 +217,12 @@ def test_joints_without_weight_are_ignored(to, scene):
     pose = project_global(to(canonical[:50]), to(pixels), camera, to(length[:50]), weights=to(weights))
     assert np.asarray(pose.valid).all()
     np.testing.assert_allclose(np.asarray(pose.joints_m), joints_m[:50], atol=1e-9)
-    for bad in (0.0, -1.0, np.nan):  # nothing counts; nonsense
-        pose = project_global(to(canonical[:50]), to(pixels), camera, to(length[:50]), weights=to(weights * bad))
-        assert not np.asarray(pose.valid).any()
+    pose = project_global(to(canonical[:50]), to(pixels), camera, to(length[:50]), weights=to(0 * weights))
+    assert not np.asarray(pose.valid).any()  # nothing counts
+    for nonsense in (-1.0, np.nan):
+        weights[:, 5] = nonsense
+        pose = project_global(to(canonical[:50]), to(pixels), camera, to(length[:50]), weights=to(weights))
+        assert not np.asarray(pose.valid).any() and np.isnan(np.asarray(pose.joints_m)).all()
 
 
 def test_bad_modes_are_refused(scene):
@@ -293,7 +296,7 @@ def test_gradients(method, camera):
         assert pose.valid.all()
         return pose.joints_m, pose.radius_m, pose.theta, pose.phi
 
-    assert torch.autograd.gradcheck(outputs, arguments, atol=1e-6)
+    assert torch.autograd.gradcheck(outputs, arguments, atol=1e-6, fast_mode=True)
 
 
 def test_gradients_of_the_loss_target():

@@ -8,6 +8,7 @@ from twohands.geometry.camera import project
 from twohands.geometry.canonical import canonical_from_camera
 from twohands.geometry.projection import project_global
 from twohands.skeleton import LITTLE_MCP, ROOT, WRIST
+from twohands.types import PinholeCamera
 
 METHODS = ["keybone", "all-joints"]
 
@@ -26,6 +27,7 @@ def degenerate_cases():
         return canonical, pixels, changes.get("length", good[2])
 
     every = ...
+    before = 0.5 * np.array([0, 0, 1]) * (np.arange(21) != ROOT)[:, None]
     behind = good[0] * [-1, -1, 1]  # the hand seen upside down can only lie behind the camera
     return {
         "absent, NaN": (*changed(canonical={every: np.nan}, pixels={every: np.nan}), METHODS),
@@ -41,6 +43,7 @@ def degenerate_cases():
         "length 0": (*changed(length=0.0), METHODS),
         "length negative": (*changed(length=-0.1), METHODS),
         "length NaN": (*changed(length=np.nan), METHODS),
+        "length infinite": (*changed(length=np.inf), METHODS),
         "both key bones without 2D length": (
             *changed(pixels={WRIST: good[1][ROOT], LITTLE_MCP: good[1][ROOT]}),
             ["keybone"],
@@ -51,13 +54,16 @@ def degenerate_cases():
             METHODS,
         ),
         "key bones along the ray": (*changed(canonical={WRIST: [0, 0, -1], LITTLE_MCP: [0, 1e-9, 0.4]}), ["keybone"]),
+        "key bone all but along the ray": (*changed(canonical={WRIST: [1e-9, 0, -1.0]}), ["keybone"]),
         "all joints along the ray": (good[0] * [0, 0, 1], good[1], good[2], METHODS),
+        "all joints all but along the ray": (good[0] * [1e-9, 1e-9, 0] - before, good[1], good[2], METHODS),
         "hand behind the camera": (behind, good[1], good[2], ["all-joints"]),
         "wrist seen far wider than it is": (
             *changed(canonical={WRIST: [0.01, 0, 1.0], LITTLE_MCP: [0.01, 0, 0.4]}, pixels={WRIST: [500.0, 250.0]}),
             METHODS,
         ),
         "huge canonical": (*changed(canonical={WRIST: 1e308, LITTLE_MCP: 1e308}, length=100.0), METHODS),
+        "huge finger": (*changed(canonical={4: 1e308}, length=100.0), METHODS),
         "huge pixels": (*changed(pixels={WRIST: 1e308, LITTLE_MCP: -1e308}), METHODS),
         "tiny length": (*changed(length=5e-324), METHODS),
     }
@@ -75,6 +81,37 @@ def test_degenerate_input_is_refused_without_a_warning(to, case, method):
     unknown = bool(np.isnan(np.asarray(pose.joints_m)).all() and np.isnan(np.asarray(pose.radius_m)))
     assert bool(pose.valid) == known == (not unknown)
     assert bool(pose.valid) == (method not in refused_by)
+
+
+@pytest.mark.parametrize("joint", [ROOT, WRIST, LITTLE_MCP])
+@pytest.mark.parametrize("method", METHODS)
+def test_a_pixel_outside_the_lens_model_is_unknown(to, method, joint):
+    """Finite, but no ray leads there: the model x (1 - x^2 / 3) sees nothing beyond 2/3."""
+    camera = PinholeCamera(100.0, 100.0, 100.0, 100.0, 200, 200, (-1 / 3, 0.0, 0.0, 0.0))
+    joints_m = 0.05 * random_hands(1, CENTRED_CAMERA, np.random.default_rng(16))[0][0] + [0.0, 0.0, 0.3]
+    canonical = canonical_from_camera(joints_m)
+    joints_px = project(joints_m, camera, distort=True)
+    length = float(canonical.hand_length_m)
+    assert bool(project_global(to(canonical.joints), to(joints_px), camera, length, method=method).valid)
+    joints_px[joint] = [190.0, 110.0]
+    pose = project_global(to(canonical.joints), to(joints_px), camera, length, method=method)
+    assert not bool(pose.valid) and np.isnan(np.asarray(pose.joints_m)).all()
+    assert np.isnan(float(pose.theta)) == (joint == ROOT)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_joint_seen_beside_the_turned_camera_is_refused(to, method):
+    """In a very wide image the wrist is seen more than 90 degrees from the root: no slope describes it."""
+    camera = PinholeCamera.from_fov(150, 640, 480)
+    joints_m, _, length = random_hands(1, CENTRED_CAMERA, np.random.default_rng(16))
+    canonical = canonical_from_camera(joints_m[0]).joints
+    joints_px = np.full((21, 2), 240.0)
+    joints_px[ROOT] = [20.0, 240.0]
+    joints_px[:, 0] += np.arange(21) - ROOT
+    joints_px[WRIST] = [620.0, 240.0]
+    canonical[WRIST] = [0.9, 0.0, 0.4]
+    pose = project_global(to(canonical), to(joints_px), camera, float(length[0]), method=method)
+    assert not bool(pose.valid) and np.isnan(np.asarray(pose.joints_m)).all()
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -122,7 +159,11 @@ def test_degenerate_neighbours_do_not_spoil_gradients(method):
         torch.tensor(np.stack([first, *(case[k] for case in cases)]), requires_grad=True)
         for k, first in enumerate((canonical_from_camera(joints_m[0]).joints, joints_px[0], length[0]))
     ]
-    pose = project_global(arguments[0], arguments[1], CENTRED_CAMERA, arguments[2], method=method)
+    weights = None
+    if method == "all-joints":
+        weights = torch.ones(arguments[0].shape[:-1], dtype=torch.float64)
+        weights[1, 3] = float("nan")
+    pose = project_global(arguments[0], arguments[1], CENTRED_CAMERA, arguments[2], method=method, weights=weights)
     pose.joints_m[pose.valid].sum().backward()
     for argument in arguments:
         assert torch.isfinite(argument.grad).all()

@@ -110,7 +110,7 @@ def test_compiled_networks_are_functions_of_batches(tiny):
 
 
 def test_results_of_one_call_survive_the_next(tiny):
-    """The engine reuses its memory; what it returned must not change."""
+    """An engine may reuse its memory; what it returned must not change."""
     networks = load_networks(tiny)
     first = networks.pose_net_2d(np.zeros((1, 3, 32, 32), np.float32))
     kept = first.copy()

@@ -63,7 +63,7 @@ def test_missing_damaged_and_foreign_files(saved, tmp_path):
         load_network("pose_net_3d", tmp_path / "none.safetensors")
     half = tmp_path / "half.safetensors"
     half.write_bytes(saved[1].read_bytes()[:1000])
-    with pytest.raises(CheckpointError, match="half.safetensors"):
+    with pytest.raises(CheckpointError, match="half"):
         load_network("pose_net_3d", half)
     foreign = tmp_path / "foreign.safetensors"
     save_tensors({"a": torch.zeros(1)}, {}, foreign)

@@ -35,6 +35,20 @@ def test_energy_loss():
     assert losses.energy_loss(logits, target).item() == pytest.approx(9 / 32)
 
 
+def test_energy_cross_entropy_has_its_least_value_at_the_target_and_no_vanishing_gradient():
+    target = torch.full((1, 2, 1, 1), 0.75)
+    entropy = -0.75 * math.log(0.75) - 0.25 * math.log(0.25)
+    at_target = torch.full((1, 2, 1, 1), math.log(3))
+    assert losses.energy_loss(at_target, target, "cross-entropy").item() == pytest.approx(entropy)
+    slopes = {}
+    for kind in ("mse", "cross-entropy"):
+        far = torch.full((1, 2, 1, 1), -10.0, requires_grad=True)
+        losses.energy_loss(far, target, kind).backward()
+        slopes[kind] = float(far.grad.abs().sum())
+    assert slopes["cross-entropy"] == pytest.approx(0.75, abs=1e-3)
+    assert slopes["mse"] < 1e-3
+
+
 def test_heatmap_mse_sums_stages_and_skips_uncounted_joints():
     target = torch.zeros(1, 21, 2, 2)
     first, second = torch.zeros(1, 21, 2, 2), torch.zeros(1, 21, 2, 2)

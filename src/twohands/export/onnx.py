@@ -62,7 +62,7 @@ def export_network(network: nn.Module, path: str | Path) -> None:
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(path.name + ".partial")
-    was_training = model.training
+    was_training = network.training
     model.eval()
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)
     with warnings.catch_warnings():
@@ -79,7 +79,7 @@ def export_network(network: nn.Module, path: str | Path) -> None:
             external_data=False,
             verbose=False,
         )
-    model.train(was_training)
+    network.train(was_training)
     os.replace(partial, path)
 
 
@@ -121,6 +121,7 @@ def export_preset(
         "training": notes,
         **dict(further or {}),
     }
+    folder.mkdir(parents=True, exist_ok=True)
     for key, network in networks.items():
         export_network(network, folder / f"{key}.onnx")
     partial = folder / "card.json.partial"

@@ -11,6 +11,8 @@ from twohands.types import Array, PinholeCamera
 
 _NEWTON_STEPS = 12
 """Enough for machine precision wherever the lens model can be inverted; the number is fixed so that gradients exist."""
+_FOLD_CHECKS = 8
+"""Points between axis and ray at which a fold of the lens model is looked for."""
 
 
 def unproject(points_px: Array, camera: PinholeCamera) -> Array:
@@ -83,7 +85,7 @@ def _undistort(xp: Any, xd: Array, yd: Array, coefficients: tuple[float, ...]) -
     """Inverse of `_distort` by Newton's method from the distorted point.
 
     OpenCV's own inverse is a fixed-point iteration that stops early and has no gradient. NaN where the iteration does
-    not arrive, or arrives beyond the radius at which the lens model folds back.
+    not arrive, or arrives beyond a radius at which the lens model folds back.
     """
     finite = xp.isfinite(xd) & xp.isfinite(yd)
     xd, yd = xp.where(finite, xd, 0.0), xp.where(finite, yd, 0.0)  # NaN in the iteration would spoil gradients
@@ -95,8 +97,10 @@ def _undistort(xp: Any, xd: Array, yd: Array, coefficients: tuple[float, ...]) -
         error_x, error_y = now_x - xd, now_y - yd
         x = x - (yy * error_x - xy * error_y) / determinant
         y = y - (xx * error_y - xy * error_x) / determinant
-    now_x, now_y, xx, xy, yy = _distort(x, y, coefficients)
+    now_x, now_y, *_ = _distort(x, y, coefficients)
     tolerance = 1e3 * xp.finfo(xd.dtype).eps * (1 + xp.abs(xd) + xp.abs(yd))
-    arrived = xp.abs(now_x - xd) + xp.abs(now_y - yd) < tolerance
-    arrived = finite & arrived & (xx * yy - xy * xy > 0) & (xx + yy > 0)  # and the model still grows outwards there
+    arrived = finite & (xp.abs(now_x - xd) + xp.abs(now_y - yd) < tolerance)
+    for step in range(1, _FOLD_CHECKS + 1):  # all the way out, the model must have grown outwards
+        _, _, xx, xy, yy = _distort(x * (step / _FOLD_CHECKS), y * (step / _FOLD_CHECKS), coefficients)
+        arrived = arrived & (xx * yy - xy * xy > 0) & (xx + yy > 0)
     return xp.where(arrived, x, xp.nan), xp.where(arrived, y, xp.nan)

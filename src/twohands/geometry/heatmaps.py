@@ -65,7 +65,7 @@ def encode_heatmaps(
     along_u = xp.exp(exponent[..., None] * (cells - centre[..., 0:1]) ** 2)  # (..., N, map)
     along_v = xp.exp(exponent[..., None] * (cells - centre[..., 1:2]) ** 2) * amplitude[..., None]
     maps = along_v[..., :, None] * along_u[..., None, :]
-    return xp.where(maps < cutoff, xp.zeros_like(maps), maps)
+    return xp.where(maps < cutoff, 0.0, maps)
 
 
 def decode_argmax(maps: Array) -> tuple[Array, Array]:

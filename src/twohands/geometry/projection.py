@@ -51,7 +51,8 @@ def project_global(
         hand_length_m: (...) or a number, |wrist - root| in metres, whichever key bone is used.
         method: "all-joints", ours: the r of least squares over all joints. "keybone", the paper's: the r of one joint,
             the wrist if it is seen strictly farther from the root than the little MCP, else the little MCP. Exact
-            input gives the same exact answer; noise hurts all-joints by about a third less (SPEC 5.5).
+            input gives the same exact answer; noise hurts all-joints less, by a third to two thirds
+            (docs/paper-map.md).
         angles: "exact", or "paper" for the printed equation (`rotation.paper_angles`), kept for comparison.
         weights: (..., 21) not negative, for "all-joints"; a joint of weight 0 is ignored and its pixel may be unknown.
             None weighs all joints alike.

@@ -71,7 +71,7 @@ class OpenVinoNetwork:
             Every output, in the order of the file.
         """
         result = self._network([np.ascontiguousarray(batch, dtype=np.float32)])
-        return tuple(np.array(result[port]) for port in self._network.outputs)
+        return tuple(result[port] for port in self._network.outputs)
 
 
 def load_networks(folder: Path) -> Networks:

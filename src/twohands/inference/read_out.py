@@ -7,7 +7,7 @@ import numpy as np
 from twohands.geometry import heatmaps as codec
 
 WINDOW_RADIUS = 6
-"""Half side, in map cells, of the window round the peak: three times the target's sigma of 2 cells (SPEC 3)."""
+"""Half side, in map cells, of the window round the peak: three to four times the target's sigma of 1.5 to 2 cells."""
 
 
 def read_joints(maps: np.ndarray, decoder: str) -> tuple[np.ndarray, np.ndarray]:

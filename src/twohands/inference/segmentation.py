@@ -18,8 +18,8 @@ The paper says "very low activation" and gives no value (SPEC 2).
 OPENING_SIZE = 5
 """Side of the opening's kernel on a map of REFERENCE_WIDTH; smaller maps take a smaller kernel."""
 REFERENCE_WIDTH = 512
-GREY = 128
-"""Letterbox filling: zero after normalisation, which is what the convolutions see beyond a picture's border."""
+STRETCH = 0.05
+"""Pictures whose aspect ratio is this close to the network's input are stretched to fill it, as in training."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +61,8 @@ class HandBoxes:
 def letterbox(image: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, Letterbox]:
     """Fit a picture into a network's input without stretching it.
 
-    A picture of the input's own aspect ratio fills it; any other is centred on grey, so that hands keep the shape
-    that the network has learned.
+    A picture of nearly the input's own aspect ratio fills it. Any other is centred, so that hands keep the shape that
+    the network has learned, and its border goes on outside, as for zoomed-out pictures in training.
 
     Args:
         image: (H, W, 3) uint8.
@@ -72,13 +72,15 @@ def letterbox(image: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, Let
         (height, width, 3) uint8, and where the picture lies in it.
     """
     height, width = size
-    scale = min(height / image.shape[0], width / image.shape[1])
-    rows = min(height, max(1, round(image.shape[0] * scale)))
-    columns = min(width, max(1, round(image.shape[1] * scale)))
+    scale_v, scale_u = height / image.shape[0], width / image.shape[1]
+    scale = min(scale_u, scale_v)
+    rows, columns = height, width
+    if abs(scale_u / scale_v - 1) > STRETCH:
+        rows, columns = max(1, round(image.shape[0] * scale)), max(1, round(image.shape[1] * scale))
     interpolation = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
+    resized = cv2.resize(image, (columns, rows), interpolation=interpolation)
     top, left = (height - rows) // 2, (width - columns) // 2
-    canvas = np.full((height, width, 3), GREY, np.uint8)
-    canvas[top : top + rows, left : left + columns] = cv2.resize(image, (columns, rows), interpolation=interpolation)
+    canvas = cv2.copyMakeBorder(resized, top, height - rows - top, left, width - columns - left, cv2.BORDER_REPLICATE)
     return canvas, Letterbox(top / height, left / width, rows / height, columns / width)
 
 

@@ -140,14 +140,14 @@ def _png_is_complete(data: bytes) -> bool:
 
 def _jpeg_is_complete(data: bytes) -> bool:
     """Walk the segments and scans to the end-of-image marker; a thumbnail's own marker lies inside a segment."""
-    at, scans = 2, 0
+    at = 2
     while True:
         at = data.find(b"\xff", at)
         if at < 0 or at + 2 > len(data):
             return False
         marker = data[at + 1]
         if marker == 0xD9:
-            return scans > 0
+            return True
         if marker == 0xFF:  # fill byte
             at += 1
         elif marker in (0x00, 0x01) or 0xD0 <= marker <= 0xD8:  # stuffed byte, or a marker without content
@@ -155,7 +155,6 @@ def _jpeg_is_complete(data: bytes) -> bool:
         else:
             if at + 4 > len(data):
                 return False
-            scans += marker == 0xDA
             at += 2 + struct.unpack_from(">H", data, at + 2)[0]
 
 

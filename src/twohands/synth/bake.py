@@ -229,5 +229,3 @@ def bake(path: Path, *, count: int = 1200, seed: int = 0, tolerance_m: float = 1
     }
 
 
-if __name__ == "__main__":
-    print(bake(Path(__file__).parent / "assets" / "arms.npz"))

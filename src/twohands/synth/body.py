@@ -50,6 +50,21 @@ BONE_PARENTS: Final = tuple(
 )
 
 
+def _levels() -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+    """(bones, their parents) of every depth of the tree below the two shoulders, nearest first."""
+    depth = [0] * len(BONE_PARENTS)
+    for index, parent in enumerate(BONE_PARENTS):
+        depth[index] = depth[parent] + 1 if parent >= 0 else 0
+    levels = []
+    for level in range(1, max(depth) + 1):
+        bones = np.array([i for i, d in enumerate(depth) if d == level])
+        levels.append((bones, np.array(BONE_PARENTS)[bones]))
+    return tuple(levels)
+
+
+_LEVELS: Final = _levels()
+
+
 def bone(name: str, side: int) -> int:
     """Index into BONE_NAMES, for example `bone("wrist", LEFT)`."""
     return BONE_NAMES.index(f"{name}.{'LR'[side]}")
@@ -186,17 +201,15 @@ def forward_kinematics(body: Body, rotations: np.ndarray) -> np.ndarray:
     Returns:
         (48, 3, 4) rigid transforms from rest to posed space, camera frame, metres.
     """
-    transforms = np.empty((len(BONE_NAMES), 3, 4))
-    for index, parent in enumerate(BONE_PARENTS):
-        head, rotation = body.heads[index], rotations[index]
-        if parent < 0:
-            linear, moved_head = rotation, head
-        else:
-            linear = transforms[parent, :, :3] @ rotation
-            moved_head = transforms[parent, :, :3] @ head + transforms[parent, :, 3]
-        transforms[index, :, :3] = linear
-        transforms[index, :, 3] = moved_head - linear @ head
-    return transforms
+    heads = body.heads
+    linear = np.array(rotations, dtype=np.float64)
+    moved = np.array(heads, dtype=np.float64)
+    for bones, parents in _LEVELS:
+        linear[bones] = linear[parents] @ linear[bones]
+        step = (linear[parents] @ (heads[bones] - heads[parents])[..., None])[..., 0]
+        moved[bones] = moved[parents] + step
+    shift = moved - (linear @ heads[..., None])[..., 0]
+    return np.concatenate([linear, shift[..., None]], axis=-1)
 
 
 def posed_joints(body: Body, transforms: np.ndarray) -> np.ndarray:

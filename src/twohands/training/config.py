@@ -6,7 +6,7 @@ import dataclasses
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, get_args
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from twohands.datasets.targets import CropConfig, ZoomConfig
 from twohands.datasets.transforms import MaskConfig, PhotometricConfig
@@ -15,6 +15,17 @@ from twohands.models.presets import PAPER, SLIM, NetworkConfigs
 
 StageName = Literal["hand_seg_net", "pose_net_2d", "pose_net_3d"]
 RecipeName = Literal["paper", "ours"]
+
+
+def _check_choices(config: Any) -> None:
+    """Every field annotated with a Literal holds one of its values.
+
+    Raises:
+        InputError: it does not.
+    """
+    for name, hint in get_type_hints(type(config)).items():
+        if get_origin(hint) is Literal and getattr(config, name) not in get_args(hint):
+            raise InputError(f"{name} must be one of {', '.join(get_args(hint))}, got '{getattr(config, name)}'")
 
 
 @dataclass(frozen=True)
@@ -59,6 +70,8 @@ class LossConfig:
     """Let the target's spread tell the joint's depth."""
     soft_argmax: float = 0.0
     """Weight of the L1 loss on the soft-argmax, error in heatmap cells."""
+    energy_kind: Literal["mse", "cross-entropy"] = "mse"
+    """Loss of the energies: mean squared error, or binary cross-entropy."""
     energy: float = 1.0
     """Weight of the energy loss of HandSegNet."""
     joint_norm: Literal["mse", "l1"] = "mse"
@@ -71,6 +84,9 @@ class LossConfig:
     """Weight of L_proj."""
     heatmap_along: float = 0.0
     """Stage pose_net_3d: weight of PoseNet2D's own loss while it is trained along."""
+
+    def __post_init__(self) -> None:
+        _check_choices(self)
 
 
 @dataclass(frozen=True)
@@ -95,6 +111,16 @@ class OptimConfig:
     """Decay per iteration of the averaged weights that are validated and exported; 0 takes the last weights."""
     along_rate: float = 0.0
     """Stage pose_net_3d: learning rate of PoseNet2D relative to PoseNet3D's; 0 freezes it."""
+
+    def __post_init__(self) -> None:
+        _check_choices(self)
+        for name in ("learning_rate", "weight_decay", "clip", "along_rate"):
+            if not getattr(self, name) >= 0:
+                raise InputError(f"{name} must not be negative, got {getattr(self, name)}")
+        if not 0 <= self.ema < 1:
+            raise InputError(f"ema must lie in [0, 1), got {self.ema}")
+        if self.halve_every < 1:
+            raise InputError(f"halve_every must be at least 1, got {self.halve_every}")
 
 
 @dataclass(frozen=True)
@@ -139,13 +165,13 @@ class TrainConfig:
     """Optimizer."""
 
     def __post_init__(self) -> None:
-        if self.stage not in get_args(StageName):
-            raise InputError(f"unknown stage '{self.stage}'; one of {', '.join(get_args(StageName))}")
+        _check_choices(self)
         for name in ("iterations", "batch_images", "validate_every", "log_every"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} must be at least 1, got {getattr(self, name)}")
-        if self.max_minutes < 0:
-            raise InputError(f"max_minutes must not be negative, got {self.max_minutes}")
+        for name in ("max_minutes", "checkpoint_minutes"):
+            if not getattr(self, name) >= 0:
+                raise InputError(f"{name} must not be negative, got {getattr(self, name)}")
         softmax = self.networks.pose_net_2d.activation == "softmax"
         if softmax != (self.loss.heatmap == "cross-entropy"):
             raise InputError(
@@ -206,7 +232,7 @@ def with_override(config: TrainConfig, assignment: str) -> TrainConfig:
     try:
         value = {"true": True, "false": False}[text.lower()] if isinstance(node, bool) else type(node)(text)
     except (KeyError, ValueError) as error:
-        raise InputError(f"{name} needs a {type(node).__name__}, got '{text}'") from error
+        raise InputError(f"{name} needs a value of type {type(node).__name__}, got '{text}'") from error
     values: dict[str, Any] = {leaf: value}
     for part in reversed(parents):
         values = {part: values}
@@ -247,7 +273,7 @@ def recipe(name: RecipeName, stage: StageName) -> TrainConfig:
         crop=CropConfig("perspective", margin=1.5, shift=0.1, smallest=0.9, largest=1.2),
         augment=AugmentConfig(
             photometric=PhotometricConfig(
-                brightness=0.15, contrast=0.3, gamma=0.7, hue=0.05, saturation=0.4, blur=1.0, noise=0.05, texture=0.15
+                brightness=0.1, contrast=0.25, gamma=0.5, hue=0.05, saturation=0.3, blur=0.8, noise=0.04, texture=0.12
             ),
             masks=MaskConfig(coarse=0.5, border=0.03, holes=0.15, spill=0.2, confusion=0.15, no_arm=0.15),
             zoom=ZoomConfig(zoom=0.4, shift=0.1, flip=0.5),
@@ -255,6 +281,8 @@ def recipe(name: RecipeName, stage: StageName) -> TrainConfig:
         loss=LossConfig(
             heatmap="cross-entropy",
             soft_argmax=1.0,
+            energy_kind="cross-entropy",
+            energy=3.0,  # its errors are spread over all pixels: without this the masks drown it
             joint_norm="l1",
             joint=10.0,
             bone=5.0,

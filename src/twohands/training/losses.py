@@ -30,9 +30,19 @@ def segmentation_loss(logits: Tensor, classes: Tensor) -> Tensor:
     return functional.cross_entropy(logits.float(), classes)
 
 
-def energy_loss(logits: Tensor, energy: Tensor) -> Tensor:
-    """Mean squared error of sigmoid(logits) against the energy maps, both (B, 2, H, W). Source: SPEC 2, 9."""
-    return functional.mse_loss(torch.sigmoid(logits.float()), energy)
+def energy_loss(logits: Tensor, energy: Tensor, kind: Literal["mse", "cross-entropy"] = "mse") -> Tensor:
+    """How far sigmoid(logits) is from the energy maps, mean over cells.
+
+    Args:
+        logits: (B, 2, H, W).
+        energy: (B, 2, H, W), 0..1.
+        kind: "mse", the paper's (SPEC 2, 9). "cross-entropy", ours: binary cross-entropy has the same minimum, but no
+            vanishing gradient where the sigmoid is saturated; with the squared error the maps of small hands can stay
+            near 0 for thousands of iterations.
+    """
+    if kind == "mse":
+        return functional.mse_loss(torch.sigmoid(logits.float()), energy)
+    return functional.binary_cross_entropy_with_logits(logits.float(), energy)
 
 
 def heatmap_mse(

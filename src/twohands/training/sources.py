@@ -49,10 +49,7 @@ def open_source(spec: DataConfig) -> tuple[SampleSource, SampleSource]:
 
     from twohands.datasets.ego3dhands import Ego3DHands
 
-    dataset = Ego3DHands(folder)
-    if len(dataset) == 0:
-        raise InputError(f"{folder} holds no pictures: no folder below it has a location_2d.npy")
-    return split(dataset, spec.validation)
+    return split(Ego3DHands(folder), spec.validation)
 
 
 def split(source: SampleSource, validation: int) -> tuple[IndexRange, IndexRange]:

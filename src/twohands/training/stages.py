@@ -61,9 +61,10 @@ class SegmentationStage(Stage):
     def forward(self, batch: Batch, iteration: int) -> Losses:
         segmentation, energy = self.net(normalised(batch["image"]))
         target = encode_energy(batch["boxes_px"], batch["present"], *energy.shape[-2:])
+        loss = self.config.loss
         return {
             "segmentation": losses.segmentation_loss(segmentation, batch["classes"].long()),
-            "energy": self.config.loss.energy * losses.energy_loss(energy, target),
+            "energy": loss.energy * losses.energy_loss(energy, target, loss.energy_kind),
         }
 
     def validate(self, batches: Sequence[Batch]) -> dict[str, float]:

@@ -275,7 +275,7 @@ def _step(
     parts = model(batch, iteration)
     total = torch.stack(list(parts.values())).sum()
     if not torch.isfinite(total):
-        named = ", ".join(f"{name} {float(value):g}" for name, value in parts.items())
+        named = ", ".join(f"{name} {value.item():g}" for name, value in parts.items())
         raise InputError(f"the loss is not finite at iteration {iteration} ({named}); lower the learning rate")
     fabric.backward(total)
     if config.clip:

@@ -192,14 +192,15 @@ def _projection(camera: PinholeCamera) -> bytes:
 
 def _frame(colour: np.ndarray, planes: np.ndarray, scene: SceneSpec) -> RenderedFrame:
     """Turns read-back planes (premultiplied colour; label and z) into a RenderedFrame with one common mask."""
-    labels = np.rint(planes[..., 0]).astype(np.uint8)
-    mask = labels > 0
-    depth = np.where(mask, planes[..., 1], np.float32(0))
-    alpha = np.where(mask, np.maximum(colour[..., 3], 1), 0).astype(np.uint8)
-    # The colour pass writes premultiplied linear coverage; partial pixels are undone, empty ones borrow the skin.
-    partial = mask & (alpha < 255)
-    rgb = np.where(mask[..., None], colour[..., :3], 0).astype(np.uint8)
+    labels = planes[..., 0].astype(np.uint8)
+    mask = (labels > 0).view(np.uint8)
+    # Both passes clear to zero, so depth is already zero off the mask; coverage is made to agree with the labels.
+    depth = np.ascontiguousarray(planes[..., 1])
+    alpha = np.maximum(colour[..., 3], 1) * mask
+    rgb = colour[..., :3] * mask[..., None]
+    partial = (alpha > 0) & (alpha < 255)
     if partial.any():
-        straight = colour[partial, :3].astype(np.float32) * 255 / alpha[partial, None].astype(np.float32)
+        # Where some samples missed the hand, the resolved colour is darkened by the empty ones.
+        straight = rgb[partial].astype(np.float32) * 255 / alpha[partial, None].astype(np.float32)
         rgb[partial] = np.clip(straight + 0.5, 0, 255).astype(np.uint8)
     return RenderedFrame(rgb, alpha, depth, labels, scene.joints_m, scene.present, scene.camera)

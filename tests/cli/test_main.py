@@ -1,0 +1,125 @@
+"""The command itself: help, version, mistakes, exit codes, what is imported."""
+
+import dataclasses
+import importlib
+import subprocess
+import sys
+import typing
+
+import pytest
+
+import twohands
+from twohands.cli import main as main_module
+from twohands.cli.main import VERBS, main
+from twohands.errors import InputError
+
+
+@pytest.mark.parametrize("arguments", [[], ["--help"], ["-h"]])
+def test_help_names_every_verb_with_one_line(arguments, capsys):
+    assert main(arguments) == 0
+    lines = capsys.readouterr().out.splitlines()
+    for verb, what in VERBS.items():
+        assert sum(line.split() == [verb, *what.split()] for line in lines) == 1
+
+
+def test_version(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"twohands {twohands.__version__}\n"
+
+
+@pytest.mark.parametrize(
+    ("word", "hint"), [("trak", "did you mean 'track'?"), ("xyzzy", "known: track"), ("--foo", "known:")]
+)
+def test_an_unknown_verb_is_one_line_and_exit_2(word, hint, capsys):
+    assert main([word]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == "" and captured.err.count("\n") == 1
+    assert f"unknown command '{word}'" in captured.err and hint in captured.err
+
+
+@pytest.mark.parametrize(
+    "arguments", [["track"], ["track", "a.png", "--nonsense"], ["track", "a.png", "--fov", "wide"]]
+)
+def test_arguments_that_cannot_be_parsed_are_exit_2(arguments, capsys):
+    assert main(arguments) == 2
+    assert capsys.readouterr().err
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_verb_keeps_the_contract_and_has_help(verb, capsys):
+    try:
+        module = importlib.import_module(f"twohands.cli.{verb}")
+    except ModuleNotFoundError as error:
+        assert error.name in main_module._EXTRA_OF_MODULE, error
+        pytest.skip(f"needs {error.name}")
+    hints = typing.get_type_hints(module.run)
+    assert hints.pop("return") is int
+    (config,) = hints.values()
+    for kind in typing.get_args(config) or (config,):
+        assert dataclasses.is_dataclass(kind)
+    assert main([verb, "--help"]) == 0
+    assert f"twohands {verb}" in capsys.readouterr().out
+
+
+def fake_verb(monkeypatch, error):
+    @dataclasses.dataclass(frozen=True)
+    class Nothing:
+        """No arguments."""
+
+    def run(args: Nothing) -> int:
+        raise error
+
+    run.__annotations__ = {"args": Nothing, "return": int}
+    module = type(sys)("fake", "A verb that fails.")
+    module.run = run  # type: ignore[attr-defined]
+    monkeypatch.setattr(main_module, "VERBS", {"fake": "fails"})
+    monkeypatch.setitem(sys.modules, "twohands.cli.fake", module)
+
+
+def test_an_expected_failure_is_one_line_and_exit_2(monkeypatch, capsys):
+    fake_verb(monkeypatch, InputError("this\nis  wrong"))
+    assert main(["fake"]) == 2
+    assert capsys.readouterr().err == "twohands: error: this is wrong\n"
+
+
+def test_ctrl_c_is_exit_130_without_traceback(monkeypatch, capsys):
+    fake_verb(monkeypatch, KeyboardInterrupt())
+    assert main(["fake"]) == 130
+    assert capsys.readouterr().err == "twohands: interrupted\n"
+
+
+def test_a_missing_extra_is_named(monkeypatch, capsys):
+    fake_verb(monkeypatch, ModuleNotFoundError("No module named 'torch.nn'", name="torch.nn"))
+    assert main(["fake"]) == 2
+    assert "pip install 'twohands[train]'" in capsys.readouterr().err
+
+
+def test_our_own_bugs_are_not_hidden(monkeypatch):
+    fake_verb(monkeypatch, ModuleNotFoundError("No module named 'numppy'", name="numppy"))
+    with pytest.raises(ModuleNotFoundError):
+        main(["fake"])
+
+
+def imported_by(code: str) -> set[str]:
+    script = f"{code}\nimport sys\nprint(*{{name.split('.')[0] for name in sys.modules}}, file=sys.stderr)"
+    result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    return set(result.stderr.split())
+
+
+def test_import_and_help_are_light():
+    heavy = {"numpy", "cv2", "openvino", "torch", "matplotlib", "tyro", "rich", "moderngl"}
+    assert not heavy & imported_by("import twohands")
+    assert not heavy & imported_by("from twohands.cli.main import main; main(['--help'])")
+
+
+def test_tracking_imports_no_extra():
+    modules = imported_by("import twohands.cli.track, twohands.cli.demo")
+    assert not {"torch", "moderngl", "matplotlib", "safetensors", "onnx", "lightning", "scipy"} & modules
+
+
+def test_every_public_name_is_there():
+    assert set(twohands.__all__) <= set(dir(twohands))
+    for name in twohands.__all__:
+        assert getattr(twohands, name).__name__ == name
+    with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
+        _ = twohands.nonsense

@@ -1,0 +1,230 @@
+"""What the networks are shown and asked for, against values known from the way the pictures were made."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from tests.builders import make_sample
+
+from twohands.datasets.targets import (
+    CropConfig,
+    PoseTarget,
+    ZoomConfig,
+    crop_matrix,
+    hand_box,
+    hand_classes,
+    pose_target,
+    segmentation_target,
+)
+from twohands.datasets.transforms import MaskConfig, PhotometricConfig
+from twohands.errors import DataFormatError, InputError
+from twohands.geometry.boxes import apply_homography
+from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
+from twohands.types import HandSample
+
+PAPER_CROP = CropConfig()
+OUR_CROP = CropConfig("perspective")
+
+
+def sample(seed: int = 0, **options) -> HandSample:
+    return make_sample(np.random.default_rng(seed), **options)
+
+
+def mirrored(original: HandSample) -> HandSample:
+    """The picture in a mirror: columns reversed, left and right hands swapped."""
+    width = original.image.shape[1]
+    labels = original.labels[:, ::-1]
+    swapped = np.where(labels == 0, 0, np.where(labels > 7, labels - 7, labels + 7)).astype(np.uint8)
+    return dataclasses.replace(
+        original,
+        image=np.ascontiguousarray(original.image[:, ::-1]),
+        labels=np.ascontiguousarray(swapped),
+        joints_px=original.joints_px[::-1] * [-1, 1] + [width, 0],
+        joints_m=original.joints_m[::-1] * [-1, 1, 1],
+        present=original.present[::-1],
+        valid=original.valid[::-1],
+    )
+
+
+def target(*args, **options) -> PoseTarget:
+    found = pose_target(*args, **options)
+    assert found is not None
+    return found
+
+
+def test_hand_classes_put_the_arm_with_its_hand():
+    labels = np.array([[0, 1, 2, 7, 8, 9, 14]], np.uint8)
+    assert hand_classes(labels).tolist() == [[0, 1, 1, 1, 2, 2, 2]]
+    assert hand_classes(labels).dtype == np.uint8
+
+
+def test_hand_box_is_tight_and_clipped_to_the_picture():
+    original = sample()
+    points = original.joints_px.copy()
+    box = hand_box(original, LEFT)
+    assert np.allclose(box, [*points[LEFT].min(axis=0), *points[LEFT].max(axis=0)])
+    points[LEFT, 0] = [-50, 500]
+    box = hand_box(dataclasses.replace(original, joints_px=points), LEFT)
+    assert (box[0], box[3]) == (0, original.image.shape[0])
+
+
+def test_hand_box_of_absent_and_outside_hands():
+    assert hand_box(sample(present=(True, False)), RIGHT) is None
+    original = sample()
+    away = dataclasses.replace(original, joints_px=original.joints_px - [1000, 0])
+    assert hand_box(away, LEFT) is None
+
+
+def test_segmentation_target_scales_labels_and_boxes():
+    original = sample()  # 240x135
+    found = segmentation_target(original, 270, 480)
+    assert np.array_equal(found.classes[::2, ::2], hand_classes(original.labels))
+    assert np.allclose(found.boxes_px[LEFT], 2 * hand_box(original, LEFT), atol=1e-4)
+    assert found.present.tolist() == [True, True]
+
+
+def test_segmentation_target_needs_labels():
+    with pytest.raises(DataFormatError, match="needs part labels"):
+        segmentation_target(dataclasses.replace(sample(), labels=None), 64, 96)
+
+
+def test_flip_equals_the_mirrored_picture():
+    original = sample()
+    flip = ZoomConfig(flip=1.0)
+    a = segmentation_target(original, 135, 240, zoom=flip, rng=np.random.default_rng(0))
+    b = segmentation_target(mirrored(original), 135, 240)
+    assert np.array_equal(a.classes, b.classes)
+    assert np.array_equal(a.image, b.image)
+    assert np.allclose(a.boxes_px, b.boxes_px, atol=1e-4)
+
+
+def test_zoomed_boxes_stay_on_the_hands():
+    original = sample()
+    config = ZoomConfig(zoom=0.4, shift=0.1, flip=0.5)
+    changed = 0
+    for seed in range(20):
+        found = segmentation_target(original, 135, 240, zoom=config, rng=np.random.default_rng(seed))
+        for side in (LEFT, RIGHT):
+            rows, cols = np.nonzero(found.classes == side + 1)
+            if not found.present[side] or not len(rows):
+                continue
+            drawn = np.array([cols.min(), rows.min(), cols.max() + 1, rows.max() + 1])
+            assert np.abs(drawn - found.boxes_px[side]).max() < 8  # bones are drawn with thick lines
+            changed += not np.allclose(found.boxes_px[side], hand_box(original, side), atol=1)
+    assert changed > 10
+
+
+@pytest.mark.parametrize("crop", [PAPER_CROP, OUR_CROP])
+@pytest.mark.parametrize("side", [LEFT, RIGHT])
+def test_joints_lead_back_to_the_picture(crop, side):
+    original = sample(3)
+    found = target(original, side, 128, crop)
+    back = apply_homography(found.image_from_crop.astype(float), found.joints_px.astype(float))
+    assert np.abs(back - original.joints_px[side]).max() < 1e-3
+    assert found.weight.tolist() == [1.0] * 21
+
+
+@pytest.mark.parametrize("crop", [PAPER_CROP, OUR_CROP])
+def test_a_right_hand_is_shown_as_the_left_hand_of_the_mirrored_picture(crop):
+    original = sample(5)
+    right, left = target(original, RIGHT, 128, crop), target(mirrored(original), LEFT, 128, crop)
+    assert np.allclose(right.joints_px, left.joints_px, atol=1e-3)
+    assert np.allclose(right.canonical, left.canonical, atol=1e-5)
+    assert np.allclose(right.rays_from_crop, left.rays_from_crop, atol=1e-5)
+    assert right.distance == pytest.approx(left.distance)
+    difference = np.abs(right.image.astype(int) - left.image)
+    assert np.median(difference) == 0 and difference.mean() < 2  # nearest-neighbour borders may differ
+
+
+@pytest.mark.parametrize("side", [LEFT, RIGHT])
+def test_canonical_target(side):
+    original = sample(1, hand_length_m=0.09)
+    found = target(original, side, 128, OUR_CROP)
+    assert np.allclose(found.canonical[ROOT], 0)
+    assert np.linalg.norm(found.canonical[WRIST]) == pytest.approx(1, abs=1e-5)
+    assert found.distance == pytest.approx(np.linalg.norm(original.joints_m[side, ROOT]) / 0.09)
+    assert found.canonical_weight.tolist() == [1.0] * 21
+
+
+def test_crop_shows_this_hand_bright_the_other_dim_and_no_background():
+    original = sample(2)
+    white = dataclasses.replace(original, image=np.full_like(original.image, 200))
+    found = target(white, LEFT, 128, CropConfig(margin=6.0))  # wide enough for both hands
+    assert set(np.unique(found.image)) == {0, 100, 200}
+
+
+def test_unlabelled_and_partly_known_hands():
+    original = sample(4)
+    points, metres, valid = original.joints_px.copy(), original.joints_m.copy(), original.valid.copy()
+    points[LEFT, 8], valid[LEFT, 8] = np.nan, False
+    metres[LEFT, 12] = np.nan
+    found = target(dataclasses.replace(original, joints_px=points, joints_m=metres, valid=valid), LEFT, 128, OUR_CROP)
+    assert found.weight[8] == 0 and found.weight.sum() == 20
+    assert found.canonical_weight[8] == 0 and found.canonical_weight[12] == 0 and found.canonical_weight.sum() == 19
+    assert np.isfinite(found.joints_px).all() and np.isfinite(found.canonical).all()
+    metres[LEFT] = np.nan
+    found = target(dataclasses.replace(original, joints_m=metres), LEFT, 128, OUR_CROP)
+    assert found.canonical_weight.sum() == 0 and found.weight.sum() == 21
+    whole = target(dataclasses.replace(original, labels=None), LEFT, 128, OUR_CROP)
+    assert (whole.image > 0).mean() > (found.image > 0).mean()
+
+
+def test_hands_that_cannot_be_seen_are_left_out():
+    original = sample(0)
+    assert pose_target(sample(present=(True, False)), RIGHT, 128, OUR_CROP) is None
+    hidden = dataclasses.replace(original, labels=np.where(original.labels > 7, original.labels, 0).astype(np.uint8))
+    assert pose_target(hidden, LEFT, 128, OUR_CROP) is None
+    assert pose_target(hidden, RIGHT, 128, OUR_CROP) is not None
+    points = original.joints_px.copy()
+    points[LEFT, :10] -= 500
+    assert pose_target(dataclasses.replace(original, joints_px=points), LEFT, 128, OUR_CROP) is None
+
+
+def test_joints_outside_the_crop_do_not_count():
+    points = sample(0).joints_px.copy()
+    points[LEFT, 4] = [-80, 60]  # outside the picture: the box, and so the crop, stop at its border
+    found = target(dataclasses.replace(sample(0), joints_px=points), LEFT, 128, CropConfig(margin=1.0))
+    assert found.weight[4] == 0 and found.joints_px[4].tolist() == [0, 0]
+
+
+def test_jitter_moves_the_crop_within_its_limits():
+    camera, box = sample().camera, np.array([60.0, 40.0, 100.0, 60.0])
+    config = CropConfig(shift=0.1, smallest=0.8, largest=1.25)
+    middles, sides = [], []
+    for seed in range(200):
+        matrix = crop_matrix(box, camera, LEFT, 128, config, np.random.default_rng(seed))
+        corners = apply_homography(matrix, np.array([[0.0, 0.0], [128.0, 128.0]]))
+        middles.append(corners.mean(axis=0) - [80, 50])
+        sides.append((corners[1, 0] - corners[0, 0]) / (1.5 * 40))
+    assert 3.5 < np.abs(middles).max() <= 4.0  # 10 % of 40
+    assert 0.8 <= min(sides) < 0.85 and 1.2 < max(sides) <= 1.25
+
+
+def test_random_changes_are_a_function_of_the_generator():
+    options = {
+        "photometric": PhotometricConfig(brightness=0.2, noise=0.05, hue=0.1, blur=1.0, texture=0.2),
+        "masks": MaskConfig(coarse=0.5, border=0.03, holes=0.5, spill=0.5, confusion=0.5, no_arm=0.5),
+    }
+    crop = dataclasses.replace(OUR_CROP, shift=0.1)
+    a, b, c = (target(sample(), LEFT, 128, crop, rng=np.random.default_rng(seed), **options) for seed in (1, 1, 2))
+    assert np.array_equal(a.image, b.image) and np.array_equal(a.joints_px, b.joints_px)
+    assert not np.array_equal(a.image, c.image)
+
+
+def test_the_sample_is_not_changed():
+    original = sample()
+    before = [original.image.copy(), original.labels.copy(), original.joints_px.copy(), original.joints_m.copy()]
+    rng = np.random.default_rng(0)
+    masks = MaskConfig(holes=1.0, spill=1.0, confusion=1.0, border=0.03)
+    photometric = PhotometricConfig(brightness=0.2, noise=0.05, hue=0.1)
+    pose_target(original, RIGHT, 128, OUR_CROP, photometric=photometric, masks=masks, rng=rng)
+    segmentation_target(original, 64, 96, photometric=photometric, zoom=ZoomConfig(0.4, 0.1, 1.0), rng=rng)
+    after = [original.image, original.labels, original.joints_px, original.joints_m]
+    assert all(np.array_equal(a, b) for a, b in zip(before, after, strict=True))
+
+
+def test_bad_crops_are_refused():
+    with pytest.raises(InputError, match="round"):
+        CropConfig("round")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="smallest <= largest"):
+        CropConfig(smallest=1.2, largest=1.0)

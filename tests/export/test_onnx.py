@@ -1,0 +1,135 @@
+"""The exported networks answer like the trained ones, for any batch size, in the runtime that users have."""
+
+import json
+
+import numpy as np
+import openvino
+import pytest
+import torch
+from tests.training.tiny import NETWORKS
+
+from twohands.errors import CheckpointError, InputError
+from twohands.export import onnx
+from twohands.inference.weights import read_card
+from twohands.models.checkpoint import save_network
+from twohands.models.pose_net_2d import PoseNet2D, PoseNet2DConfig
+from twohands.models.presets import build_network
+
+NAMES = ("hand_seg_net", "pose_net_2d", "pose_net_3d")
+SHAPES = {"hand_seg_net": (3, 64, 96), "pose_net_2d": (3, 128, 128), "pose_net_3d": (21, 32, 32)}
+OUTPUTS = {"hand_seg_net": ["seg_logits", "energy_logits"], "pose_net_2d": ["heatmaps"], "pose_net_3d": ["canonical"]}
+NOTES = {"pose_net_2d": {"crop": {"kind": "perspective", "margin": 1.4}, "recipe": "ours"}}
+
+
+def lively(name: str) -> torch.nn.Module:
+    """A network whose batch statistics have moved and whose output layers are not small."""
+    torch.manual_seed(1)
+    network = build_network(name, getattr(NETWORKS, name))
+    for parameter in network.parameters():
+        parameter.data += 0.05 * torch.randn_like(parameter)
+    with torch.no_grad():
+        for _ in range(30):
+            network(torch.rand(4, *SHAPES[name]))
+    return network.eval()
+
+
+@pytest.fixture(scope="module")
+def networks() -> dict[str, torch.nn.Module]:
+    return {name: lively(name) for name in NAMES}
+
+
+@pytest.fixture(scope="module")
+def checkpoints(networks, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("checkpoints")
+    for name, network in networks.items():
+        save_network(name, network, folder / f"{name}.safetensors", note=NOTES.get(name, {"seed": 4}))
+    return {name: folder / f"{name}.safetensors" for name in NAMES}
+
+
+@pytest.fixture(scope="module")
+def preset(checkpoints, tmp_path_factory):
+    """(folder, card) of the exported networks; exporting takes seconds, so it is done once."""
+    folder = tmp_path_factory.mktemp("weights") / "mini"
+    return folder, onnx.export_preset(checkpoints, folder, name="mini", further={"hardware": "2 cores"})
+
+
+def run(path, inputs: np.ndarray) -> dict[str, np.ndarray]:
+    core = openvino.Core()
+    compiled = core.compile_model(core.read_model(path), "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
+    result = compiled(inputs)
+    return {port.get_any_name(): result[port] for port in compiled.outputs}
+
+
+def answer(name: str, network: torch.nn.Module, inputs: np.ndarray) -> list[np.ndarray]:
+    with torch.no_grad():
+        out = network(torch.from_numpy(inputs))
+        if name == "pose_net_2d":
+            out = network.heatmaps(out)
+    return [o.numpy() for o in (out if isinstance(out, tuple) else (out,))]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_openvino_equals_torch_for_any_batch_size(name, preset, networks):
+    rng = np.random.default_rng(0)
+    for batch in (1, 3):
+        inputs = rng.uniform(-0.5, 0.5, (batch, *SHAPES[name])).astype(np.float32)
+        outputs = run(preset[0] / f"{name}.onnx", inputs)
+        assert list(outputs) == OUTPUTS[name]
+        for found, wanted in zip(outputs.values(), answer(name, networks[name], inputs), strict=True):
+            assert found.shape == wanted.shape
+            scale = np.abs(wanted).max()
+            assert wanted.std() > 0.005 * scale, "a constant output would compare equal to anything"
+            assert np.abs(found - wanted).max() < 1e-3 * scale
+
+
+def test_inference_understands_the_preset(preset):
+    folder, written = preset
+    card = read_card(folder)
+    assert card.name == "mini"
+    assert tuple(card.seg_input_size) == (64, 96)
+    assert (card.crop_size, card.crop_kind, card.crop_margin) == (128, "perspective", 1.4)
+    assert card.heatmap_decode == "softargmax"
+    assert written == json.loads((folder / "card.json").read_text())
+    assert written["hardware"] == "2 cores" and written["training"]["hand_seg_net"]["seed"] == 4
+    assert sorted(file.name for file in folder.iterdir()) == ["card.json", *(f"{name}.onnx" for name in NAMES)]
+
+
+def test_exporting_leaves_the_network_as_it_was(tmp_path):
+    network = lively("pose_net_3d").train()
+    before = {name: tensor.clone() for name, tensor in network.state_dict().items()}
+    onnx.export_network(network, tmp_path / "net.onnx")
+    assert network.training
+    assert all(torch.equal(before[name], tensor) for name, tensor in network.state_dict().items())
+
+
+def test_a_pose_machine_is_exported_by_its_last_stage():
+    network = PoseNet2D(PoseNet2DConfig("cpm9", stages=2, width=0.07)).eval()
+    crop = torch.rand(1, 3, 256, 256)
+    with torch.no_grad():
+        assert torch.equal(onnx.HeatmapNet(network)(crop), network(crop)[1])
+
+
+def test_other_modules_are_refused(tmp_path):
+    with pytest.raises(InputError, match="Linear"):
+        onnx.export_network(torch.nn.Linear(2, 2), tmp_path / "net.onnx")
+
+
+def test_linear_maps_are_read_by_sub_pixel(checkpoints, tmp_path, monkeypatch):
+    config = PoseNet2DConfig("encoder-decoder", crop_size=128, stages=1, width=0.1, activation="linear")
+    linear = tmp_path / "linear.safetensors"
+    save_network("pose_net_2d", PoseNet2D(config), linear, note={"crop": {"kind": "square", "margin": 1.5}})
+    monkeypatch.setattr(onnx, "export_network", lambda network, path: None)  # only the card matters here
+    card = onnx.export_preset({**checkpoints, "pose_net_2d": linear}, tmp_path / "mini", name="mini")
+    assert card["pose_net_2d"]["heatmap_decode"] == "subpixel"
+    assert card["pose_net_2d"]["crop_kind"] == "square"
+
+
+def test_swapped_and_unexplained_checkpoints_are_refused(checkpoints, networks, tmp_path):
+    with pytest.raises(CheckpointError, match="holds weights of 'pose_net_3d'"):
+        onnx.export_preset({**checkpoints, "pose_net_2d": checkpoints["pose_net_3d"]}, tmp_path / "mini", name="mini")
+    save_network("pose_net_2d", networks["pose_net_2d"], tmp_path / "bare.safetensors")
+    with pytest.raises(CheckpointError, match="how its crops were cut"):
+        onnx.export_preset(
+            {**checkpoints, "pose_net_2d": tmp_path / "bare.safetensors"}, tmp_path / "mini", name="mini"
+        )
+    assert not (tmp_path / "mini").exists()

@@ -1,0 +1,242 @@
+"""Boxes, crops and warping (SPEC 2)."""
+
+import cv2
+import numpy as np
+import pytest
+from tests.builders import CENTRED_CAMERA, OFF_CENTRE_CAMERA, open_hand
+
+from twohands.errors import InputError
+from twohands.geometry.boxes import (
+    apply_homography,
+    box_from_points,
+    box_iou,
+    perspective_crop,
+    square_crop,
+    warp_image,
+)
+from twohands.geometry.camera import project, unproject
+from twohands.geometry.canonical import camera_from_canonical
+from twohands.skeleton import LEFT, RIGHT
+from twohands.types import PinholeCamera
+
+BOX = np.array([330.0, 40.0, 450.0, 110.0])
+CROP_CORNERS = np.array([[0.0, 0.0], [256.0, 0.0], [0.0, 256.0], [256.0, 256.0], [128.0, 128.0], [10.0, 200.0]])
+
+
+def crops(side):
+    return {
+        "square": square_crop(BOX, size=256, side=side),
+        "perspective": perspective_crop(BOX, CENTRED_CAMERA, size=256, side=side),
+    }
+
+
+# Boxes --------------------------------------------------------------------------------------------------------------
+
+
+def test_box_from_points(to):
+    points = np.array([[[1.0, 5.0], [3.0, 2.0], [np.nan, 9.0], [9.0, 9.0]], np.full((4, 2), np.nan)])
+    np.testing.assert_array_equal(np.asarray(box_from_points(to(points))), [[1, 2, 9, 9], [np.nan] * 4])
+    valid = np.array([[True, True, True, False], [True] * 4])
+    np.testing.assert_array_equal(np.asarray(box_from_points(to(points), to(valid))), [[1, 2, 3, 5], [np.nan] * 4])
+
+
+def test_box_iou(to):
+    a = np.array([[0.0, 0.0, 4.0, 2.0], [0.0, 0.0, 4.0, 2.0], [0.0, 0.0, 1.0, 1.0], [1.0, 1.0, 1.0, 1.0]])
+    b = np.array([[2.0, 1.0, 6.0, 3.0], [0.0, 0.0, 4.0, 2.0], [2.0, 2.0, 3.0, 3.0], [1.0, 1.0, 1.0, 1.0]])
+    expected = [2 / 14, 1.0, 0.0, 0.0]  # 2x1 common of 8 + 8 - 2; the same; apart, though both differences are negative
+    np.testing.assert_allclose(np.asarray(box_iou(to(a), to(b))), expected)
+    np.testing.assert_allclose(np.asarray(box_iou(to(b), to(a))), expected)
+    assert np.isnan(np.asarray(box_iou(to(a[:1] * np.nan), to(b[:1])))).all()
+
+
+# Crop matrices ------------------------------------------------------------------------------------------------------
+
+
+def test_square_crop_by_hand():
+    """Box 120x70 at (390, 75): the square's side is 180, from (300, -15) to (480, 165)."""
+    corners = apply_homography(square_crop(BOX, size=256, side=LEFT), CROP_CORNERS[:4])
+    np.testing.assert_allclose(corners, [[300, -15], [480, -15], [300, 165], [480, 165]])
+    corners = apply_homography(square_crop(BOX, size=256, side=RIGHT), CROP_CORNERS[:4])
+    np.testing.assert_allclose(corners, [[480, -15], [300, -15], [480, 165], [300, 165]])
+
+
+@pytest.mark.parametrize("side", [LEFT, RIGHT])
+@pytest.mark.parametrize("kind", ["square", "perspective"])
+def test_round_trip(to, kind, side):
+    image_from_crop = crops(side)[kind]
+    assert image_from_crop.dtype == np.float64
+    image = apply_homography(to(image_from_crop), to(CROP_CORNERS))
+    back = apply_homography(to(np.linalg.inv(image_from_crop)), image)
+    np.testing.assert_allclose(np.asarray(back), CROP_CORNERS, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["square", "perspective"])
+def test_right_crop_is_the_mirrored_left_crop(kind):
+    mirrored = CROP_CORNERS * [-1, 1] + [256, 0]
+    right, left = crops(RIGHT)[kind], crops(LEFT)[kind]
+    np.testing.assert_allclose(apply_homography(right, mirrored), apply_homography(left, CROP_CORNERS), atol=1e-9)
+    assert np.linalg.det(right) < 0 < np.linalg.det(left)
+
+
+@pytest.mark.parametrize("kind", ["square", "perspective"])
+def test_crop_is_centred_on_the_box(kind):
+    centre = apply_homography(crops(LEFT)[kind], np.array([[128.0, 128.0]]))
+    np.testing.assert_allclose(centre, [[390.0, 75.0]], atol=1e-9)
+
+
+def test_perspective_crop_is_square_crop_near_the_axis():
+    """For a small box around the principal point a turned camera and a cut-out are the same."""
+    u, v = OFF_CENTRE_CAMERA.cx, OFF_CENTRE_CAMERA.cy
+    camera = PinholeCamera(600.0, 600.0, u, v, 640, 480)
+    box = [u - 0.5, v - 0.3, u + 0.5, v + 0.3]
+    for side in (LEFT, RIGHT):
+        square = apply_homography(square_crop(box, size=256, side=side), CROP_CORNERS)
+        turned = apply_homography(perspective_crop(box, camera, size=256, side=side), CROP_CORNERS)
+        np.testing.assert_allclose(turned, square, atol=1e-6)
+
+
+@pytest.mark.parametrize("camera", [CENTRED_CAMERA, OFF_CENTRE_CAMERA], ids=["centred", "off-centre"])
+def test_perspective_crop_is_a_turned_camera(camera):
+    """K^-1 H^-1 splits into intrinsics and a rotation; a ray turned and projected there lands on the crop's pixel."""
+    intrinsics = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
+    crop_from_image = np.linalg.inv(perspective_crop(BOX, camera, size=256, side=LEFT))
+    _, crop_intrinsics, rotation, *_ = cv2.RQDecomp3x3(crop_from_image @ intrinsics)
+    crop_intrinsics = crop_intrinsics / crop_intrinsics[2, 2]
+    focal = crop_intrinsics[0, 0]
+    np.testing.assert_allclose(crop_intrinsics, [[focal, 0, 128], [0, focal, 128], [0, 0, 1]], atol=1e-9)
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+    assert focal > 0 and np.linalg.det(rotation) > 0
+    ray = unproject(np.array([390.0, 75.0]), camera)
+    np.testing.assert_allclose(rotation @ ray / np.linalg.norm(ray), [0, 0, 1], atol=1e-12)
+
+    virtual = PinholeCamera(focal, focal, 128, 128, 256, 256)
+    points = np.random.default_rng(0).uniform([0.3, -0.3, 0.4], [0.5, 0.2, 0.8], (50, 3))
+    seen = project(points @ rotation.T, virtual)
+    np.testing.assert_allclose(apply_homography(crop_from_image, project(points, camera)), seen, atol=1e-8)
+
+
+@pytest.mark.parametrize("margin", [1.0, 1.5])
+def test_perspective_crop_holds_the_box_and_no_more(margin):
+    u0, v0, u1, v1 = BOX
+    crop_from_image = np.linalg.inv(perspective_crop(BOX, CENTRED_CAMERA, size=256, side=LEFT, margin=margin))
+    corners = apply_homography(crop_from_image, np.array([[u0, v0], [u1, v0], [u0, v1], [u1, v1]]))
+    np.testing.assert_allclose(np.abs(corners - 128).max(), 128 / margin)
+
+
+def test_perspective_crop_shows_the_same_hand_alike_everywhere():
+    """One canonical hand in the middle and in a corner of the image: turned crops agree, upright squares do not."""
+    canonical = open_hand() - open_hand()[9]
+
+    def shape_in_crop(theta, phi, perspective):
+        joints_m = camera_from_canonical(canonical, 0.1, 0.4, np.asarray(theta), np.asarray(phi))
+        joints_px = project(joints_m, CENTRED_CAMERA)
+        root_px = joints_px[9]
+        box = np.concatenate([root_px - 20, root_px + 20])
+        if perspective:
+            image_from_crop = perspective_crop(box, CENTRED_CAMERA, size=256, side=LEFT)
+        else:
+            image_from_crop = square_crop(box, size=256, side=LEFT)
+        offsets = apply_homography(np.linalg.inv(image_from_crop), joints_px) - 128
+        return offsets / np.abs(offsets).max()
+
+    for perspective, agree in ((True, True), (False, False)):
+        middle, corner = (shape_in_crop(*angles, perspective) for angles in ((0.0, 0.0), (0.4, 0.7)))
+        assert (np.abs(middle - corner).max() < 1e-9) == agree
+        assert agree or np.abs(middle - corner).max() > 0.1
+
+
+@pytest.mark.parametrize("box", [[0, 0, 0, 0], [5, 5, 5, 5], [0, 0, np.nan, 4], [4, 0, 0, 4], [0, 0, np.inf, 4]])
+def test_a_box_without_extent_is_refused(box):
+    with pytest.raises(InputError, match="finite box"):
+        square_crop(box, size=256, side=LEFT)
+    with pytest.raises(InputError, match="finite box"):
+        perspective_crop(box, CENTRED_CAMERA, size=256, side=LEFT)
+
+
+def test_other_bad_requests_are_refused():
+    with pytest.raises(InputError, match="side"):
+        square_crop(BOX, size=256, side=2)
+    with pytest.raises(InputError, match="half space"):
+        perspective_crop([0, 0, 1e9, 10], CENTRED_CAMERA, size=256, side=LEFT)
+
+
+def test_points_behind_the_camera_have_no_place(to):
+    behind = np.array([[1.0, 0, 0], [0, 1, 0], [-0.01, 0, 1]])
+    mapped = np.asarray(apply_homography(to(behind), to(np.array([[50.0, 1.0], [150.0, 1.0], [100.0, 1.0]]))))
+    np.testing.assert_allclose(mapped[0], [100.0, 2.0])
+    assert np.isnan(mapped[1:]).all()
+
+
+def test_homography_batches(to):
+    points = np.random.default_rng(1).uniform(0, 256, (2, 21, 2))
+    both = np.stack([crops(LEFT)["perspective"], crops(RIGHT)["perspective"]])
+    batch = np.asarray(apply_homography(to(both), to(points)))
+    for i in range(2):
+        np.testing.assert_allclose(batch[i], np.asarray(apply_homography(to(both[i]), to(points[i]))))
+
+
+# Warping ------------------------------------------------------------------------------------------------------------
+
+
+def pattern(height=12, width=16, channels=3):
+    """Multiples of 16, so that quarters are whole numbers."""
+    return (16 * np.random.default_rng(2).integers(0, 16, (height, width, channels))).astype(np.uint8)
+
+
+@pytest.mark.parametrize("interpolation", ["linear", "nearest"])
+@pytest.mark.parametrize("shift", [(0, 0), (3, 2), (-2, 5)])
+def test_integer_shift_is_exact(shift, interpolation):
+    image, (du, dv), size = pattern(), shift, 9
+    before = image.copy()
+    crop = warp_image(image, np.array([[1.0, 0, du], [0, 1, dv], [0, 0, 1]]), size, interpolation=interpolation)
+    expected = np.zeros((size, size, 3), np.uint8)
+    for row in range(size):
+        for column in range(size):
+            if 0 <= row + dv < 12 and 0 <= column + du < 16:
+                expected[row, column] = image[row + dv, column + du]
+    np.testing.assert_array_equal(crop, expected)
+    np.testing.assert_array_equal(image, before)
+
+
+def test_upscaling_by_two_keeps_the_half_pixel_law():
+    """Crop pixel i's centre is i + 0.5, that is (i + 0.5) / 2 in the image: a quarter pixel beside an image centre."""
+    image = pattern(8, 8)
+    crop = warp_image(image, np.diag([0.5, 0.5, 1.0]), 16)
+    line = np.zeros((16, 8))
+    for i in range(1, 15):
+        near, far = i // 2, i // 2 + (1 if i % 2 else -1)
+        line[i, near], line[i, far] = 0.75, 0.25
+    expected = np.einsum("ir,jc,rck->ijk", line, line, image.astype(float))
+    np.testing.assert_allclose(crop[1:15, 1:15], expected[1:15, 1:15], atol=0.5)
+    nearest = warp_image(image, np.diag([0.5, 0.5, 1.0]), 16, interpolation="nearest")
+    np.testing.assert_array_equal(nearest, image.repeat(2, axis=0).repeat(2, axis=1))
+
+
+def test_upscaling_floats_is_not_rounded():
+    ramp = np.arange(8, dtype=np.float32)[None, :].repeat(8, axis=0)
+    crop = warp_image(ramp, np.diag([0.5, 0.5, 1.0]), 16)
+    np.testing.assert_allclose(crop[8, 1:15], (np.arange(1, 15) + 0.5) / 2 - 0.5, atol=1e-6)
+
+
+def test_mirrored_picture_is_the_flipped_picture():
+    image = pattern()
+    box = [4.0, 2.0, 12.0, 10.0]
+    left = warp_image(image, square_crop(box, size=12, side=LEFT), 12)
+    right = warp_image(image, square_crop(box, size=12, side=RIGHT), 12)
+    np.testing.assert_array_equal(right, left[:, ::-1])
+    np.testing.assert_array_equal(left, image[:, 2:14])  # side 12 about (8, 6)
+
+
+@pytest.mark.parametrize("side", [LEFT, RIGHT])
+@pytest.mark.parametrize("kind", ["square", "perspective"])
+def test_picture_and_points_agree(kind, side):
+    """A blob drawn at a joint is found at the joint's crop position: matrices and warping share one pixel law."""
+    joint = np.array([402.3, 81.6])
+    v, u = np.mgrid[0:270, 0:480] + 0.5
+    image = np.exp(-((u - joint[0]) ** 2 + (v - joint[1]) ** 2) / (2 * 4.0**2)).astype(np.float32)
+    image_from_crop = crops(side)[kind]
+    crop = warp_image(image, image_from_crop, 256).astype(np.float64)
+    v, u = np.mgrid[0:256, 0:256] + 0.5
+    found = np.array([(crop * u).sum(), (crop * v).sum()]) / crop.sum()
+    expected = apply_homography(np.linalg.inv(image_from_crop), joint[None])[0]
+    np.testing.assert_allclose(found, expected, atol=0.15)
