@@ -34,13 +34,18 @@ def rate(work: Callable[[int], object]) -> float:
 def main() -> None:
     """Measures and prints."""
     for width, height in ((480, 270), (960, 540)):
-        config = SynthConfig(width=width, height=height)
-        renderer = RasterRenderer(width, height)
-        scenes = [sample_scene(config, 0, i) for i in range(COUNT)]
-        print(f"{width}x{height}: renderer {renderer.ctx.info['GL_RENDERER']}")
-        print(f"  labelled frames rendered  {rate(lambda i: renderer.render(scenes[i])):7.1f} /s")
-        stream = SyntheticStream(config, 0, COUNT)
-        print(f"  whole stream items        {rate(lambda i: stream[i]):7.1f} /s")
+        measure(width, height)
+
+
+def measure(width: int, height: int) -> None:
+    """One picture size."""
+    config = SynthConfig(width=width, height=height)
+    renderer = RasterRenderer(width, height)
+    scenes = [sample_scene(config, 0, i) for i in range(COUNT)]
+    print(f"{width}x{height}: renderer {renderer.ctx.info['GL_RENDERER']}")
+    print(f"  labelled frames rendered  {rate(lambda i: renderer.render(scenes[i])):7.1f} /s")
+    stream = SyntheticStream(config, 0, COUNT)
+    print(f"  whole stream items        {rate(lambda i: stream[i]):7.1f} /s")
 
 
 if __name__ == "__main__":

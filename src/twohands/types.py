@@ -71,9 +71,7 @@ class PinholeCamera:
     def resized(self, width: int, height: int) -> PinholeCamera:
         """The same camera after its image was resized; a plain product, because pixel (0, 0) is the outer corner."""
         sx, sy = width / self.width, height / self.height
-        return PinholeCamera(
-            self.fx * sx, self.fy * sy, self.cx * sx, self.cy * sy, width, height, self.distortion
-        )
+        return PinholeCamera(self.fx * sx, self.fy * sy, self.cx * sx, self.cy * sy, width, height, self.distortion)
 
 
 @dataclass(frozen=True, slots=True)

@@ -72,12 +72,12 @@ class TestJointErrors:
         np.testing.assert_array_equal(errors, [[5, NAN], [INF, INF], [INF, 0]])
 
     def test_mean_and_median_are_per_joint_first(self) -> None:
-        """Joint 0: 1, 2, 9 (mean 4, median 2). Joint 1: 6 once. Pooled they would be 18/4 and 4."""
-        errors = [[1, 6], [2, NAN], [9, NAN], [INF, INF]]
-        assert m.epe_mean(errors) == pytest.approx((4 + 6) / 2)
-        assert m.epe_median(errors) == pytest.approx((2 + 6) / 2)
-        assert m.finite_mean(errors) == pytest.approx(18 / 4)
-        assert m.finite_median(errors) == pytest.approx((2 + 6) / 2)
+        """Joint 0: 1, 2, 9 (mean 4, median 2). Joint 1: 10 once. Pooled: 1, 2, 9, 10."""
+        errors = [[1, 10], [2, NAN], [9, NAN], [INF, INF]]
+        assert m.epe_mean(errors) == pytest.approx((4 + 10) / 2)
+        assert m.epe_median(errors) == pytest.approx((2 + 10) / 2)
+        assert m.finite_mean(errors) == pytest.approx(22 / 4)
+        assert m.finite_median(errors) == pytest.approx((2 + 9) / 2)
 
     def test_joints_without_any_error_do_not_count(self) -> None:
         assert m.epe_mean([[2, NAN], [4, INF]]) == pytest.approx(3)

@@ -20,11 +20,11 @@ CAMERA = PinholeCamera.ego3dhands(960, 540)  # twice the reference width
 
 
 def make_sample(index: int, present: tuple[bool, bool] = (True, True)) -> HandSample:
-    """Two random 10 cm hands before the camera; labels in the top rows, the left hand's above the right's."""
+    """Random hands of 10 and 8 cm before the camera; labels in the top rows, the left hand's above the right's."""
     rng = np.random.default_rng(index)
     joints = rng.normal(scale=0.05, size=(2, 21, 3))
     joints -= joints[:, ROOT : ROOT + 1]
-    joints *= 0.10 / np.linalg.norm(joints[:, WRIST], axis=-1)[:, None, None]
+    joints *= (np.array([0.10, 0.08]) / np.linalg.norm(joints[:, WRIST], axis=-1))[:, None, None]
     joints += np.array([[-0.1, 0.02, 0.4], [0.1, -0.03, 0.5]])[:, None]
     joints[~np.array(present)] = np.nan
     labels = np.zeros((540, 960), np.uint8)
@@ -131,7 +131,7 @@ def test_relative_range_and_invalid_hands() -> None:
     def estimate(sample: HandSample) -> TwoHandPose:
         pose = perfect_pose(sample)
         left = replace(pose.left, joints_m=None if pose.left.joints_m is None else 1.1 * pose.left.joints_m)
-        right = replace(pose.right, joints_m=None, valid=False if pose.right.present else None)
+        right = replace(pose.right, valid=False)  # even with joints: not to be used
         return replace(pose, left=left, right=right)
 
     report = evaluate(predictions_for(estimate), SAMPLES)
@@ -174,6 +174,30 @@ def test_false_hand_and_wrong_mask() -> None:
     assert report["miou"].value == pytest.approx(((1 + 1 / 2) / 2 + 1) / 2)
     assert report["iou"].right == pytest.approx(1 / 2)
     assert report["epe_2d_mean"].count == 3  # a hand that is not there has no error
+
+
+def test_labels_of_a_hand_marked_absent_do_not_count() -> None:
+    sample = replace(SAMPLES[0], present=np.array([True, False]))
+    report = evaluate(predictions_for(samples=[sample]), [sample])
+    assert report["epe_2d_mean"].count == report["auc_2d"].count == report["cs_mpjpe"].count == 1
+
+
+def test_joints_marked_invalid_do_not_count() -> None:
+    """The little finger of the left hand is marked as unlabelled, and wrong."""
+    valid = SAMPLES[0].valid.copy()
+    valid[LEFT, 17:] = False
+
+    def estimate(sample: HandSample) -> TwoHandPose:
+        pose = perfect_pose(SAMPLES[0])
+        joints_px = sample.joints_px[LEFT].copy()
+        joints_px[17:] += 100
+        return replace(pose, left=replace(pose.left, joints_px=joints_px))
+
+    samples = [replace(SAMPLES[0], valid=valid)]
+    assert evaluate(predictions_for(estimate, samples), samples)["epe_2d_mean"].value == 0
+    assert evaluate(predictions_for(estimate, SAMPLES[:1]), SAMPLES)["epe_2d_mean"].left == pytest.approx(
+        4 / 21 * np.hypot(100, 100) / 2
+    )
 
 
 def test_file_round_trip(tmp_path: Path) -> None:

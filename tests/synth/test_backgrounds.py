@@ -64,6 +64,8 @@ def test_mixture_keeps_its_weights(tmp_path):
 def test_augment_crops_flips_and_leaves_its_input_alone():
     ramp = np.repeat(np.arange(200, dtype=np.uint8)[None, :, None], 100, axis=0).repeat(3, axis=2)
     before = ramp.copy()
-    slopes = [np.sign(np.diff(augment(ramp, np.random.default_rng(i), 64, 36)[..., 1].mean(0)).sum()) for i in range(60)]
+    slopes = [
+        np.sign(np.diff(augment(ramp, np.random.default_rng(i), 64, 36)[..., 1].mean(0)).sum()) for i in range(60)
+    ]
     np.testing.assert_array_equal(ramp, before)
     assert 0.3 < np.mean(np.array(slopes) > 0) < 0.7

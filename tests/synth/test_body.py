@@ -104,7 +104,7 @@ def test_elbow_by_hand(body):
     joints = posed_joints(body, forward_kinematics(body, rotations))[LEFT]
     elbow, wrist = body.joints[LEFT, 0], body.joints[LEFT, 1]
     dx, dy, dz = wrist - elbow
-    np.testing.assert_allclose(joints[1], elbow + [-dy, dx, dz], atol=1e-9)
+    np.testing.assert_allclose(joints[1], elbow + np.array([-dy, dx, dz]), atol=1e-9)
 
 
 def test_shape_changes_size_and_keeps_sides_equal():
@@ -115,7 +115,7 @@ def test_shape_changes_size_and_keeps_sides_equal():
         left, right = np.linalg.norm(joints[:, 1 + WRIST] - joints[:, 1 + ROOT], axis=-1)
         assert abs(left - right) < 1e-3 * left
         lengths.append(left)
-    assert 0.06 < min(lengths) and max(lengths) < 0.17
+    assert min(lengths) > 0.06 and max(lengths) < 0.17
     assert np.std(lengths) > 0.005
 
 
@@ -130,7 +130,7 @@ def test_every_label_is_used_and_belongs_to_its_side():
 def test_damaged_asset_is_named(tmp_path):
     path = tmp_path / "arms.npz"
     path.write_bytes(b"nothing")
-    with pytest.raises(DataFormatError, match="arms.npz"):
+    with pytest.raises(DataFormatError, match=r"arms\.npz"):
         load_asset.__wrapped__(path)
 
 

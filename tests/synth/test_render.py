@@ -125,6 +125,7 @@ def test_the_arms_normals_point_outwards():
     body = load_asset().body()
     normals = vertex_normals(body.vertices, body.asset.faces)
     inner = body.vertices - 0.002 * normals
+
     # Moving inwards shrinks the arm: the enclosed volume (by the divergence theorem) falls.
     def volume(v):
         a, b, c = (v[body.asset.faces[:, k]] for k in range(3))

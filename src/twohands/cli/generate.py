@@ -5,8 +5,9 @@ Same seed, same bytes, whatever the number of workers. A rerun writes only what 
 
 from __future__ import annotations
 
+import dataclasses
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -14,13 +15,16 @@ import tyro
 
 from twohands.synth.config import SynthConfig
 
+FRAME_SIZE = (480, 270)
+
 
 @dataclass(frozen=True)
 class GenerateArgs:
     """Arguments of `twohands generate`."""
 
-    kind: Annotated[tyro.conf.Positional[Literal["static"]], tyro.conf.arg(metavar="KIND")]
-    """static: single pictures."""
+    kind: Annotated[tyro.conf.Positional[Literal["static", "frames"]], tyro.conf.arg(metavar="KIND")]
+    """static: single pictures in the Ego3DHands layout; frames: hands without background, 480x270 and memory-mapped,
+    a quick source for `twohands train`."""
     out: Path
     """Folder of the set."""
     count: int = 100
@@ -31,7 +35,7 @@ class GenerateArgs:
     """Folder of background pictures; procedural ones if not given."""
     workers: int = 0
     """Processes; 0 takes all cores."""
-    config: SynthConfig = SynthConfig()
+    config: SynthConfig = field(default_factory=SynthConfig)
     """Distributions of the scenes."""
 
 
@@ -39,18 +43,34 @@ def run(args: GenerateArgs) -> int:
     """Generate, with a progress bar."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+    from twohands.synth.cache import build_cache
     from twohands.synth.generate import StaticSet, generate_static
 
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    workers = args.workers or os.cpu_count() or 1
+    if args.kind == "frames":
+        config = dataclasses.replace(args.config, width=FRAME_SIZE[0], height=FRAME_SIZE[1])
+        with Progress(*columns) as bar:
+            task = bar.add_task("frames", total=args.count)
+            build_cache(
+                args.out,
+                config,
+                args.seed,
+                args.count,
+                workers=workers,
+                progress=lambda done, _: bar.update(task, completed=done),
+            )
+        print(f"{args.count} frames in {args.out}; train on them with twohands train STAGE --data {args.out}")
+        return 0
     static_set = StaticSet(args.config, args.seed, args.count, args.backgrounds)
     if args.backgrounds is None:
         print("backgrounds: procedural; give photographs with --backgrounds FOLDER")
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns) as bar:
         task = bar.add_task("instances", total=args.count)
         written = generate_static(
             static_set,
             args.out,
-            workers=args.workers or os.cpu_count() or 1,
+            workers=workers,
             progress=lambda done, _: bar.update(task, completed=done),
         )
     print(f"{written} instances written to {args.out} ({args.count - written} were there already)")

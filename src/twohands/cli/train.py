@@ -30,6 +30,8 @@ class TrainArgs:
     """Folder of the run."""
     data: str = ""
     """Folder of training pictures, or "synthetic" to render them on the fly; needed unless resuming."""
+    backgrounds: tuple[Path, ...] = ()
+    """Folders of photographs to put behind rendered hands, beside procedural backgrounds."""
     recipe: Literal["ours", "paper"] = "ours"
     """ours: slim networks that learn in minutes on a CPU; paper: networks, losses and schedule of the publication."""
     weights: tuple[Path, ...] = ()
@@ -80,7 +82,8 @@ def resolve(args: TrainArgs):
         "threads": args.threads,
     }
     config = dataclasses.replace(config, **{name: value for name, value in given.items() if value is not None})
-    data = {"source": args.data or None, "workers": args.workers}
+    backgrounds = ",".join(map(str, args.backgrounds))
+    data = {"source": args.data or None, "workers": args.workers, "backgrounds": backgrounds or None}
     changes = {name: value for name, value in data.items() if value is not None}
     config = dataclasses.replace(config, data=dataclasses.replace(config.data, **changes))
     for assignment in args.set:
@@ -94,7 +97,7 @@ def run(args: TrainArgs) -> int:
     from twohands.training.trainer import train
 
     config = resolve(args)
-    source, held_out = open_source(config.data)
+    source, held_out = open_source(config.data, with_empty=config.stage == "hand_seg_net")
     print(f"{config.stage}, recipe {config.recipe}: {len(source)} pictures, {len(held_out)} held out")
     result = train(
         config,

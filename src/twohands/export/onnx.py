@@ -5,12 +5,16 @@ from __future__ import annotations
 import dataclasses
 import json
 import logging
+import math
 import os
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import onnx
+import onnx.numpy_helper
 import torch
 from torch import Tensor, nn
 
@@ -23,6 +27,8 @@ from twohands.skeleton import N_JOINTS
 
 CARD_VERSION = 1
 OPSET = 18
+SMALL_TENSOR = 1024
+"""Weights with fewer values stay float32."""
 
 
 class HeatmapNet(nn.Module):
@@ -38,7 +44,7 @@ class HeatmapNet(nn.Module):
 
 
 def export_network(network: nn.Module, path: str | Path) -> None:
-    """Write one network as ONNX, float32, with a free batch size, atomically.
+    """Write one network as ONNX with float32 arithmetic, float16 storage and a free batch size, atomically.
 
     Args:
         network: HandSegNet (outputs seg_logits, energy_logits), PoseNet2D (output heatmaps, as PoseNet3D consumes them)
@@ -80,7 +86,37 @@ def export_network(network: nn.Module, path: str | Path) -> None:
             verbose=False,
         )
     network.train(was_training)
+    onnx.save(halve_weights(onnx.load(str(partial))), str(partial))
     os.replace(partial, path)
+
+
+def halve_weights(model: onnx.ModelProto) -> onnx.ModelProto:
+    """Store large weights as float16, to be turned into float32 when the model is loaded.
+
+    Halves the file; the arithmetic stays float32. A weight changes by less than 0.05 % of itself.
+
+    Args:
+        model: with float32 initializers; not changed.
+
+    Returns:
+        The same network with a Cast node behind every large initializer.
+    """
+    result = onnx.ModelProto()
+    result.CopyFrom(model)
+    casts = []
+    for tensor in result.graph.initializer:
+        if tensor.data_type != onnx.TensorProto.FLOAT or math.prod(tensor.dims) < SMALL_TENSOR:
+            continue
+        name, values = tensor.name, onnx.numpy_helper.to_array(tensor)
+        if np.abs(values).max() > np.finfo(np.float16).max:
+            continue
+        tensor.CopyFrom(onnx.numpy_helper.from_array(values.astype(np.float16), f"{name}_half"))
+        casts.append(onnx.helper.make_node("Cast", [f"{name}_half"], [name], to=onnx.TensorProto.FLOAT))
+    nodes = list(result.graph.node)
+    del result.graph.node[:]
+    result.graph.node.extend([*casts, *nodes])
+    onnx.checker.check_model(result)
+    return result
 
 
 def export_preset(

@@ -11,7 +11,7 @@ The card holds what inference must know; every other key (recipe, seed, accuracy
 
     {
       "version": 1,
-      "name": "slim",
+      "name": "fast",
       "hand_seg_net": {"input_size": [272, 480]},
       "pose_net_2d": {"crop_size": 128, "crop_kind": "perspective", "crop_margin": 1.5, "heatmap_decode": "softargmax"}
     }
@@ -27,7 +27,7 @@ from typing import Any
 
 from twohands.errors import CheckpointError
 
-DEFAULT_PRESET = "slim"
+DEFAULT_PRESET = "fast"
 CARD_VERSION = 1
 NETWORK_NAMES = ("hand_seg_net", "pose_net_2d", "pose_net_3d")
 CROP_KINDS = ("square", "perspective")

@@ -40,6 +40,9 @@ class ProceduralBackgrounds:
         for _ in range(int(rng.integers(4, 26))):
             _draw_shape(canvas, rng)
         canvas += _smooth_noise(rng, width, height, cells=int(rng.integers(20, 80))) * rng.uniform(0, 30)
+        # Most rooms are rather grey; a few are garish.
+        grey = canvas.mean(-1, keepdims=True)
+        canvas = grey + (canvas - grey) * rng.beta(1.2, 2.2)
         canvas += rng.normal(0, rng.uniform(0, 6), canvas.shape)
         picture = np.clip(canvas, 0, 255).astype(np.uint8)
         if rng.random() < 0.5:

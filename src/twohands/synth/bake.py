@@ -227,5 +227,3 @@ def bake(path: Path, *, count: int = 1200, seed: int = 0, tolerance_m: float = 1
         "left out weight": float(rest.max()),
         "bytes": path.stat().st_size,
     }
-
-

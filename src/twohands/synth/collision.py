@@ -33,9 +33,7 @@ def _self_pairs() -> np.ndarray:
                 if (a - 5) % 3 == 0 and (b - 5) % 3 == 0:
                     continue
                 pairs.append((a, b))
-            elif 1 <= a <= 4 and fb >= 1 and (b - 5) % 3 >= 1:
-                pairs.append((a, b))
-            elif a == 0 and fb >= 0 and (b - 5) % 3 >= 1:
+            elif (1 <= a <= 4 and fb >= 1 and (b - 5) % 3 >= 1) or (a == 0 and fb >= 0 and (b - 5) % 3 >= 1):
                 pairs.append((a, b))
     return np.array(pairs)
 

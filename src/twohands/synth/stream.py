@@ -32,9 +32,7 @@ class SyntheticStream:
         MissingExtraError, RendererError: no renderer on this machine.
     """
 
-    def __init__(
-        self, config: SynthConfig, seed: int, size: int, backgrounds: Backgrounds | None = None
-    ) -> None:
+    def __init__(self, config: SynthConfig, seed: int, size: int, backgrounds: Backgrounds | None = None) -> None:
         self.config, self.seed, self.size = config, seed, size
         self.backgrounds = backgrounds or ProceduralBackgrounds()
         self.name = f"synthetic seed {seed}"

@@ -39,7 +39,11 @@ class DataConfig:
     seed: int = 0
     """Seed of sources that make their pictures."""
     backgrounds: str = ""
-    """Folder of photographs to put behind rendered hands; procedural backgrounds if empty."""
+    """Folders of photographs to put behind rendered hands, separated by commas; procedural backgrounds if empty."""
+    procedural: float = 0.3
+    """Share of procedural backgrounds among the photographs; the folders share the rest equally."""
+    empty: float = 0.04
+    """Share of pictures from cached frames that show no hand, for HandSegNet; the pose stages see none."""
     variants: int = 20
     """Pictures per cached frame, each with its own background and light."""
     workers: int = 1

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from twohands.errors import InputError
 from twohands.training.batches import IndexRange, SampleSource
 from twohands.training.config import DataConfig
+
+if TYPE_CHECKING:
+    from twohands.synth.backgrounds import Backgrounds
 
 SYNTHETIC = "synthetic"
 """Name of the built-in source that renders its pictures on the fly."""
@@ -16,11 +20,12 @@ SYNTHETIC_FRAME = (480, 270)
 """Picture size of the built-in source; the networks' inputs are smaller still."""
 
 
-def open_source(spec: DataConfig) -> tuple[SampleSource, SampleSource]:
+def open_source(spec: DataConfig, *, with_empty: bool = False) -> tuple[SampleSource, SampleSource]:
     """Training and held-out pictures.
 
     Args:
         spec: `source` is a folder in the Ego3DHands layout, a folder of cached frames, or "synthetic".
+        with_empty: whether cached frames also give pictures without hands (`spec.empty`).
 
     Returns:
         (training, validation); the validation pictures come from the end of the source, at most a tenth of it, and
@@ -43,7 +48,9 @@ def open_source(spec: DataConfig) -> tuple[SampleSource, SampleSource]:
         frames = len(FrameCache(folder).indices)
         cut = frames - min(spec.validation, frames // 10)
         return (
-            FrameCache(folder, backgrounds, (0, cut), variants=spec.variants),
+            FrameCache(
+                folder, backgrounds, (0, cut), variants=spec.variants, empty_rate=spec.empty if with_empty else 0.0
+            ),
             FrameCache(folder, backgrounds, (cut, frames)),
         )
 
@@ -67,10 +74,12 @@ def _synthetic(spec: DataConfig) -> SampleSource:
     return SyntheticStream(SynthConfig(width=width, height=height), spec.seed, SYNTHETIC_SIZE, _backgrounds(spec))
 
 
-def _backgrounds(spec: DataConfig):
-    """The photographs to put behind rendered hands, None for procedural backgrounds."""
-    if not spec.backgrounds:
-        return None
-    from twohands.synth.backgrounds import BackgroundFolder
+def _backgrounds(spec: DataConfig) -> Backgrounds | None:
+    """What to put behind rendered hands; None for procedural backgrounds alone."""
+    from twohands.synth.backgrounds import BackgroundFolder, MixedBackgrounds, ProceduralBackgrounds
 
-    return BackgroundFolder(Path(spec.backgrounds))
+    folders = [BackgroundFolder(Path(name.strip())) for name in spec.backgrounds.split(",") if name.strip()]
+    if not folders:
+        return None
+    share = (1 - spec.procedural) / len(folders)
+    return MixedBackgrounds((*folders, ProceduralBackgrounds()), (*[share] * len(folders), spec.procedural))

@@ -10,7 +10,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from twohands.synth.body import Body, bone, load_asset, part_labels
+from twohands.synth.body import bone, load_asset, part_labels
 from twohands.synth.pose import ArmAnatomy, unit
 
 
