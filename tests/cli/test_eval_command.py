@@ -64,6 +64,11 @@ def test_predict_then_score_equals_run(
     assert "exists already" in capsys.readouterr().err
     assert main(["eval", "score", predictions, str(data), "--report", str(tmp_path / "table.md")]) == 0
     assert "| presence accuracy | 1 | 1 | 1 |  | 6 |" in (tmp_path / "table.md").read_text()
+    again = ["eval", "score", predictions, str(data), "--report", str(tmp_path / "table.md")]
+    capsys.readouterr()
+    assert main(again) == 2
+    assert "table.md: exists already" in capsys.readouterr().err
+    assert main([*again, "--overwrite"]) == 0
 
 
 def test_count_takes_the_first_instances(data: Path, weights: Path, tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Sets on disk: the official layout, any number of workers, resumable, never overwriting."""
 
+import dataclasses
 import json
 import shutil
 
@@ -14,6 +15,7 @@ from twohands.synth.cache import FrameCache, build_cache
 from twohands.synth.config import SynthConfig
 from twohands.synth.generate import StaticSet, generate_static
 from twohands.synth.stream import SyntheticStream
+from twohands.synth.writer import joints_px_with_elbow
 
 CONFIG = SynthConfig(width=240, height=135)
 SET = StaticSet(CONFIG, seed=9, count=6)
@@ -98,6 +100,17 @@ def test_files_follow_the_official_layout(written):
             length = np.linalg.norm(p3[side, 0] - p3[side, 10])
             assert np.linalg.norm(can[side, 0]) * 10.0 == pytest.approx(length, rel=2e-3)
             assert np.linalg.norm(joints[ROOT]) > 10
+
+
+def test_an_elbow_behind_the_camera_still_gets_a_number():
+    frame = SyntheticStream(CONFIG, 9, 6).frame(0)
+    joints = frame.joints_m.copy()
+    side = int(np.flatnonzero(frame.present)[0])
+    joints[side, 0] = [-0.2, 0.3, -0.1]
+    pixels = joints_px_with_elbow(dataclasses.replace(frame, joints_m=joints))
+    # x / z = 2, y / z = -3, times the focal length, from the centre.
+    np.testing.assert_allclose(pixels[side, 0], [2 * frame.camera.fx + 120, -3 * frame.camera.fy + 67.5])
+    assert np.isfinite(pixels[frame.present]).all()
 
 
 def test_manifest_says_how_it_was_made(written):

@@ -70,6 +70,8 @@ class Score:
     """The dataset it was made from."""
     report: Path | None = None
     """Write the report there: JSON for a name ending in .json, a Markdown table otherwise."""
+    overwrite: bool = False
+    """Replace an existing report."""
 
 
 @dataclass(frozen=True)
@@ -86,6 +88,8 @@ class Run:
     """Stages to replace by ground truth, for isolated results."""
     report: Path | None = None
     """Write the report there: JSON for a name ending in .json, a Markdown table otherwise."""
+    overwrite: bool = False
+    """Replace an existing report."""
 
 
 def run(args: Predict | Score | Run) -> int:
@@ -97,6 +101,8 @@ def run(args: Predict | Score | Run) -> int:
         save_predictions(args.out, predictions, overwrite=args.overwrite)
         print(f"{len(predictions)} predictions written to {args.out}")
         return 0
+    if args.report is not None and args.report.exists() and not args.overwrite:
+        raise InputError(f"{args.report}: exists already; choose another --report, or allow it with --overwrite")
     if isinstance(args, Score):
         predictions = load_predictions(args.predictions)
     else:

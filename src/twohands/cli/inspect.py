@@ -34,7 +34,7 @@ class InspectArgs:
     dataset: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DATASET")]
     """Any folder above instances (folders containing location_2d.npy), or one instance."""
     out: Path | None = None
-    """Folder for the contact sheet; default out/inspect/<name of the dataset>."""
+    """Folder for the contact sheet, where an earlier sheet is replaced; default out/inspect/<name of the dataset>."""
     count: int = 24
     """Number of instances on the contact sheet, spread over the dataset."""
     problems: int = 20

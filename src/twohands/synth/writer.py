@@ -15,7 +15,7 @@ from twohands.errors import InputError
 from twohands.geometry.camera import project
 from twohands.geometry.canonical import canonical_from_camera
 from twohands.geometry.rotation import centring_angles, rotation_from_angles
-from twohands.skeleton import ROOT, WRIST
+from twohands.skeleton import ELBOW, ROOT, WRIST
 from twohands.types import RenderedFrame
 
 
@@ -35,10 +35,25 @@ def encode_instance(frame: RenderedFrame, image: np.ndarray) -> dict[str, bytes]
         layout.IMAGE_FILE: _png(image[..., ::-1]),
         layout.LABELS_FILE: _png(layout.encode_labels(frame.part_labels)),
         layout.DEPTH_FILE: _png(layout.encode_depth(frame.depth_m)[..., ::-1]),
-        layout.JOINTS_2D_FILE: _npy(layout.encode_joints_px(project(frame.joints_m, frame.camera), width, height)),
+        layout.JOINTS_2D_FILE: _npy(layout.encode_joints_px(joints_px_with_elbow(frame), width, height)),
         layout.JOINTS_3D_FILE: _npy(layout.encode_joints_m(frame.joints_m)),
         layout.CANONICAL_FILE: _npy(layout.encode_canonical(canonical_with_elbow(frame.joints_m))),
     }
+
+
+def joints_px_with_elbow(frame: RenderedFrame) -> np.ndarray:
+    """(2, 22, 2) pixels of all joints; NaN for an absent hand.
+
+    An elbow may lie behind the camera, where nothing projects. The layout wants a number for it all the same: the
+    pinhole formula's, far outside the picture.
+    """
+    joints_px = np.array(project(frame.joints_m, frame.camera))
+    elbow = frame.joints_m[:, ELBOW]
+    behind = elbow[:, 2] <= 0
+    depth = np.minimum(elbow[behind, 2], -1e-3)[:, None]
+    focal, centre = [frame.camera.fx, frame.camera.fy], [frame.camera.cx, frame.camera.cy]
+    joints_px[behind, ELBOW] = elbow[behind, :2] / depth * focal + centre
+    return joints_px
 
 
 def canonical_with_elbow(joints_m: np.ndarray) -> np.ndarray:

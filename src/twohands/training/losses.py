@@ -12,8 +12,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from twohands.geometry.rotation import centring_angles, rotation_from_angles
-from twohands.skeleton import BONES, ROOT
+from twohands.geometry.projection import canonical_xy_from_rays
+from twohands.geometry.rotation import rotate
+from twohands.skeleton import BONES
 
 PARENT_JOINTS = [parent for parent, _ in BONES]
 CHILD_JOINTS = [child for _, child in BONES]
@@ -122,20 +123,13 @@ def projected_joints(joints_px: Tensor, rays_from_crop: Tensor, distance: Tensor
         canonical_z: (B, 21).
 
     Returns:
-        (B, 21, 2) canonical units, left-like hand.
+        (B, 21, 2) canonical units, left-like hand; NaN where a joint's ray does not point forward.
 
     Source: SPEC 4 (L_proj).
     """
-    rays = _transformed(rays_from_crop, torch.cat([joints_px, torch.ones_like(joints_px[..., :1])], dim=-1))
-    theta, phi = centring_angles(rays[:, ROOT])
-    centred = _transformed(rotation_from_angles(theta, phi), rays)  # (B, 21, 3)
-    slopes = centred[..., :2] / centred[..., 2:]
-    return slopes * (distance[:, None] + canonical_z)[..., None]
-
-
-def _transformed(matrix: Tensor, points: Tensor) -> Tensor:
-    """(B, 3, 3), (B, 21, 3) -> (B, 21, 3). Not a matmul, which mixed precision would round to 8 bits."""
-    return (points[:, :, None, :] * matrix[:, None]).sum(dim=-1)
+    with torch.autocast(joints_px.device.type, enabled=False):  # 8 bits of a pixel are not enough
+        pixels = torch.cat([joints_px, torch.ones_like(joints_px[..., :1])], dim=-1)
+        return canonical_xy_from_rays(rotate(rays_from_crop, pixels), distance, canonical_z)
 
 
 def projection_loss(
