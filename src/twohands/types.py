@@ -111,6 +111,7 @@ class HandSample:
         labels: (H, W) uint8 part labels 0..14, or None.
         depth_m: (H, W) float32 planar depth, 0 on the background, or None.
         source: identifies the sample in messages and reports.
+        visible: (2, 21) bool, which labelled joints can be seen, or None where the data set does not say.
     """
 
     image: np.ndarray
@@ -122,6 +123,7 @@ class HandSample:
     labels: np.ndarray | None = None
     depth_m: np.ndarray | None = None
     source: str = ""
+    visible: np.ndarray | None = None
 
 
 @dataclass(frozen=True, slots=True)

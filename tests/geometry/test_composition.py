@@ -50,3 +50,13 @@ def test_all_of_one_hand_is_the_plain_crop():
     np.testing.assert_array_equal(
         compose_hand_input(IMAGE, masks, crop, RIGHT, 16)[6:10, 6:10], warp_image(IMAGE, crop, 16)[6:10, 6:10]
     )
+
+
+def test_a_dimmed_background_keeps_what_the_mask_missed():
+    plain = compose_hand_input(IMAGE, MASKS, IDENTITY, LEFT, 4)
+    dimmed = compose_hand_input(IMAGE, MASKS, IDENTITY, LEFT, 4, background=0.25)
+    outside = MASKS == 0
+    np.testing.assert_array_equal(dimmed[~outside], plain[~outside])
+    np.testing.assert_array_equal(dimmed[outside], (IMAGE[outside] * np.float32(0.25)).astype(np.uint8))
+    beyond = compose_hand_input(IMAGE, MASKS, np.array([[1.0, 0, -100], [0, 1, 0], [0, 0, 1]]), LEFT, 4, background=0.25)
+    assert not beyond.any()

@@ -49,7 +49,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: arguments after the program's name; None for those of this process.
 
     Returns:
-        0 on success, 2 where the user can mend what went wrong, 130 after Ctrl-C.
+        0 on success, 1 where `inspect` found problems, 2 where the user can mend what went wrong, 130 after Ctrl-C.
     """
     words = list(sys.argv[1:] if argv is None else argv)
     if not words or words[0] in ("-h", "--help"):

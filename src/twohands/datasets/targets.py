@@ -33,6 +33,8 @@ class CropConfig:
     """Training: smallest factor on the box's size."""
     largest: float = 1.0
     """Training: largest factor on the box's size."""
+    background: float = 0.0
+    """Brightness of the background in the crop: 0 blacks it out, as in the paper."""
     min_joints: int = 12
     """Hands with fewer labelled joints inside the picture are left out."""
     min_visible: float = 0.01
@@ -41,6 +43,8 @@ class CropConfig:
     def __post_init__(self) -> None:
         if self.kind not in ("square", "perspective"):
             raise InputError(f"crop: kind must be square or perspective, got {self.kind!r}")
+        if not 0 <= self.background <= 1:
+            raise InputError(f"crop: background must lie in 0..1, got {self.background}")
         if not (self.margin > 0 and self.shift >= 0 and 0 < self.smallest <= self.largest):
             raise InputError(
                 f"crop: need margin > 0, shift >= 0, 0 < smallest <= largest, got {self.margin}, {self.shift}, "
@@ -264,7 +268,7 @@ def pose_target(
             classes = spoil_masks(classes, labels == 1 + 7 * side, side, masks, rng)
     if rng is not None and photometric is not None:
         image = jitter_colours(image, photometric, rng)
-    composed = compose_hand_input(image, classes, np.eye(3), side, size)
+    composed = compose_hand_input(image, classes, np.eye(3), side, size, crop.background)
 
     canonical, distance, has_3d = _canonical_target(sample, side)
     mirror = MIRROR_X if side == RIGHT else np.eye(3)

@@ -151,6 +151,7 @@ def export_preset(
             **pose,
             "crop_kind": crop["kind"],
             "crop_margin": crop["margin"],
+            "background": crop.get("background", 0.0),
             "heatmap_decode": "softargmax" if pose["activation"] == "softmax" else "subpixel",
         },
         "pose_net_3d": configs["pose_net_3d"],

@@ -18,8 +18,9 @@ def compose_hand_input(
     image_from_crop: NDArray[np.float64],
     side: int,
     size: int,
+    background: float = 0.0,
 ) -> Array:
-    """Crop one hand, black out the background, dim the other hand.
+    """Crop one hand, black out or dim the background, dim the other hand.
 
     Args:
         image: (H, W, 3) uint8 RGB.
@@ -27,15 +28,18 @@ def compose_hand_input(
         image_from_crop: (3, 3) from `square_crop` or `perspective_crop`; carries the mirroring.
         side: LEFT or RIGHT, the hand in question.
         size: side of the crop in pixels.
+        background: brightness of the background, 0..1. 0 is the paper's. Dimming it instead leaves a finger that the
+            mask missed visible, so that one wrong mask does not spoil the stages behind it.
 
     Returns:
-        (size, size, 3) uint8: crop * mask(this hand) + 0.5 * crop * mask(other hand), rounded down.
+        (size, size, 3) uint8: crop * mask(this hand) + 0.5 * crop * mask(other hand) + `background` * the rest, rounded
+        down; black outside the image.
 
     Source: paper section 4.2, SPEC 3 (input composition).
     """
     mask_per_image = np.array([masks.shape[1] / image.shape[1], masks.shape[0] / image.shape[0], 1.0])
     crop = warp_image(image, image_from_crop, size)
     mask = warp_image(masks, mask_per_image[:, None] * image_from_crop, size, interpolation="nearest")
-    weight = np.zeros(256, dtype=np.float32)
+    weight = np.full(256, background, dtype=np.float32)
     weight[1 + side], weight[2 - side] = 1.0, OTHER_HAND_WEIGHT
     return (crop * weight[mask][..., None]).astype(np.uint8)

@@ -142,13 +142,13 @@ class HandEstimator:
     def crop(
         self, image: np.ndarray, masks: np.ndarray, box_px: np.ndarray, side: int, camera: PinholeCamera
     ) -> HandCrop:
-        """Stage 2: the hand's square picture; background black, the other hand dimmed, a right hand mirrored."""
+        """Stage 2: the hand's square picture; the rest black or dimmed, a right hand mirrored."""
         size, margin = self.card.crop_size, self.card.crop_margin
         if self.card.crop_kind == "perspective":
             image_from_crop = perspective_crop(box_px, camera, size=size, side=side, margin=margin)
         else:
             image_from_crop = square_crop(box_px, size=size, side=side, margin=margin)
-        composed = compose_hand_input(image, masks, image_from_crop, side, size)
+        composed = compose_hand_input(image, masks, image_from_crop, side, size, self.card.background)
         return HandCrop(composed, image_from_crop, side, mirrored=side == RIGHT)
 
     def locate(self, crops: list[HandCrop], truth: StageTruth = NO_TRUTH) -> np.ndarray:

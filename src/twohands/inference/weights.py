@@ -45,6 +45,7 @@ class WeightsCard:
         crop_kind: "square" (the paper's crop) or "perspective" (a virtual camera looking at the hand).
         crop_margin: crop side over the larger side of the hand's box.
         heatmap_decode: "subpixel" for maps with linear output, "softargmax" for probability maps.
+        background: brightness of the background in the crop, 0..1; 0 where the card does not say.
     """
 
     name: str
@@ -53,6 +54,7 @@ class WeightsCard:
     crop_kind: str
     crop_margin: float
     heatmap_decode: str
+    background: float = 0.0
 
     def __post_init__(self) -> None:
         if len(self.seg_input_size) != 2 or min(self.seg_input_size) < 1:
@@ -63,6 +65,8 @@ class WeightsCard:
             raise CheckpointError(f"card: pose_net_2d.crop_kind must be one of {CROP_KINDS}, got {self.crop_kind!r}")
         if not self.crop_margin > 0:
             raise CheckpointError(f"card: pose_net_2d.crop_margin must be positive, got {self.crop_margin}")
+        if not 0 <= self.background <= 1:
+            raise CheckpointError(f"card: pose_net_2d.background must lie in 0..1, got {self.background}")
         if self.heatmap_decode not in HEATMAP_DECODERS:
             raise CheckpointError(
                 f"card: pose_net_2d.heatmap_decode must be one of {HEATMAP_DECODERS}, got {self.heatmap_decode!r}"
@@ -88,6 +92,7 @@ class WeightsCard:
                 crop_kind=str(pose["crop_kind"]),
                 crop_margin=float(pose["crop_margin"]),
                 heatmap_decode=str(pose["heatmap_decode"]),
+                background=float(pose.get("background", 0.0)),
             )
         except KeyError as error:
             raise CheckpointError(f"card: key {error} is missing") from error

@@ -154,10 +154,10 @@ def _draw_shape(canvas: np.ndarray, rng: np.random.Generator) -> None:
         cv2.ellipse(canvas, (int(centre[0]), int(centre[1])), axes, angle, 0, 360, colour, -1, cv2.LINE_AA)
     elif kind == 1:
         corners = centre + rng.normal(0, size / 2, (int(rng.integers(3, 7)), 2))
-        cv2.fillPoly(canvas, [np.int32(corners)], colour, cv2.LINE_AA)
+        cv2.fillPoly(canvas, [corners.astype(np.int32)], colour, cv2.LINE_AA)
     elif kind == 2:
         box = cv2.boxPoints(((centre[0], centre[1]), (size, size * rng.uniform(0.05, 1)), angle))
-        cv2.fillPoly(canvas, [np.int32(box)], colour, cv2.LINE_AA)
+        cv2.fillPoly(canvas, [np.asarray(box).astype(np.int32)], colour, cv2.LINE_AA)
     else:
         end = centre + size * 1.5 * np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle))])
         thick = int(max(1, width * rng.uniform(0.002, 0.06)))

@@ -274,7 +274,7 @@ def recipe(name: RecipeName, stage: StageName) -> TrainConfig:
         batch_images=16,
         precision="bf16-mixed",
         networks=SLIM,
-        crop=CropConfig("perspective", margin=1.5, shift=0.1, smallest=0.9, largest=1.2),
+        crop=CropConfig("perspective", margin=1.5, shift=0.1, smallest=0.9, largest=1.2, background=0.3),
         augment=AugmentConfig(
             photometric=PhotometricConfig(
                 brightness=0.1, contrast=0.25, gamma=0.5, hue=0.05, saturation=0.3, blur=0.8, noise=0.04, texture=0.12

@@ -32,7 +32,8 @@ def create_context() -> Any:
     except ImportError as error:
         raise MissingExtraError("rendering", "synth") from error
     try:
-        return moderngl.create_standalone_context(backend="egl", require=330)
+        settings: dict[str, Any] = {"backend": "egl", "require": 330}
+        return moderngl.create_standalone_context(**settings)
     except Exception as error:  # moderngl raises bare Exception for a missing driver
         raise RendererError(
             f"no OpenGL context ({error}); on Debian or Ubuntu: apt-get install libegl1 libgl1-mesa-dri"

@@ -1,0 +1,95 @@
+"""Reads a data set's files completely, or names the one that cannot be read in one line."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from twohands.errors import DataFormatError, InputError
+
+_ENDS = {".png": b"IEND\xaeB`\x82", ".jpg": b"\xff\xd9"}
+"""Last bytes of every complete file: PNG's closing chunk with its checksum, JPEG's end-of-image marker."""
+_TO_RGB = {3: cv2.COLOR_BGR2RGB, 4: cv2.COLOR_BGRA2RGBA}
+
+
+def existing_folder(path: str | os.PathLike[str]) -> Path:
+    """The folder, if there is one.
+
+    Raises:
+        InputError: there is none.
+    """
+    folder = Path(path)
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder")
+    return folder
+
+
+def read_bytes(path: Path) -> bytes:
+    """The file's content.
+
+    Raises:
+        DataFormatError: the file is missing, cannot be read, or is empty.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise DataFormatError(f"{path}: cannot be read ({error.strerror})") from None
+    if not data:
+        raise DataFormatError(f"{path}: zero bytes")
+    return data
+
+
+def read_json(path: Path, kind: type) -> Any:
+    """Reads a JSON file.
+
+    Args:
+        path: the file.
+        kind: type of its top level, `dict` or `list`.
+
+    Raises:
+        DataFormatError: the file is missing, cut off, not JSON, or of another kind.
+    """
+    try:
+        content = json.loads(read_bytes(path))
+    except ValueError as error:  # JSONDecodeError and UnicodeDecodeError
+        raise DataFormatError(f"{path}: not a complete JSON file ({reason(error)})") from None
+    if not isinstance(content, kind):
+        raise DataFormatError(f"{path}: expected a JSON {kind.__name__}, got a {type(content).__name__}")
+    return content
+
+
+def read_picture(path: Path, channels: int = 3) -> np.ndarray:
+    """Reads an 8-bit PNG or JPEG; pixels are those of the file, its EXIF orientation is not applied.
+
+    Args:
+        path: the file, `.png` or `.jpg`.
+        channels: 1 for grey, 3 for RGB, 4 for RGBA.
+
+    Returns:
+        (H, W, channels) uint8, or (H, W) for one channel.
+
+    Raises:
+        DataFormatError: the file is missing, empty, cut off, damaged, not 8-bit, or has other channels.
+    """
+    if path.suffix not in _ENDS:
+        raise DataFormatError(f"{path}: expected a file name that ends in {' or '.join(_ENDS)}")
+    data = read_bytes(path)
+    if not data.rstrip(b"\0").endswith(_ENDS[path.suffix]):  # the decoder would make up the rest without a word
+        raise DataFormatError(f"{path}: not a complete {path.suffix[1:].upper()} file")
+    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    if pixels is None:
+        raise DataFormatError(f"{path}: not a {path.suffix[1:].upper()} file that can be decoded")
+    found = pixels.shape[2] if pixels.ndim == 3 else 1
+    if pixels.dtype != np.uint8 or found != channels:
+        raise DataFormatError(f"{path}: expected {channels} channels of 8 bits, got {found} of {pixels.dtype}")
+    return pixels if channels == 1 else cv2.cvtColor(pixels, _TO_RGB[channels])
+
+
+def reason(error: BaseException) -> str:
+    """What an exception says, on one line."""
+    return " ".join(str(error).split()) or type(error).__name__
