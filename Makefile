@@ -26,7 +26,7 @@ lint: environment
 	$(BIN)/pyright
 
 environment:
-	@bash scripts/environment.sh $(VENV) synth,synth-bake,train,view,dev
+	@bash scripts/environment.sh $(VENV) synth,synth-bake,train,datasets,view,dev
 
 environment-view:
 	@bash scripts/environment.sh $(VENV) view

@@ -179,7 +179,7 @@ class HandPose:
         range_m: distance of the root joint, metres; None if not valid.
         theta_deg, phi_deg: direction of the root joint.
         key_bone: "wrist" or "little".
-        method: how the range was solved: "keybone", "all-joints".
+        method: how the range was solved: "keybone", "all-joints"; or "predicted" from earlier frames.
         valid: whether the camera-space result can be used.
     """
 

@@ -16,6 +16,8 @@ from twohands.inference.segmentation import (
     otsu_threshold,
 )
 
+BOTH = np.array([True, True])
+
 
 def otsu_by_definition(levels: np.ndarray) -> int:
     """The level t that maximises the variance between {<= t} and {> t}, written out from Otsu's paper."""
@@ -151,15 +153,15 @@ def test_every_shape_of_picture_can_be_put_in_and_taken_out(shape):
     assert canvas.shape == (160, 288, 3)
     content = place.content(np.zeros((2, 80, 144)))
     assert min(content.shape[1:]) >= 1
-    assert masks_from_logits(np.zeros((3, *content.shape[1:])), shape).shape == shape
+    assert masks_from_logits(np.zeros((3, *content.shape[1:])), shape, BOTH).shape == shape
 
 
 def test_masks_are_the_largest_logit():
     logits = np.zeros((3, 4, 6), np.float32)
     logits[1, :, :2] = 5.0
     logits[2, :, 4:] = 5.0
-    np.testing.assert_array_equal(masks_from_logits(logits, (4, 6)), [[1, 1, 0, 0, 2, 2]] * 4)
-    enlarged = masks_from_logits(logits, (40, 60))
+    np.testing.assert_array_equal(masks_from_logits(logits, (4, 6), BOTH), [[1, 1, 0, 0, 2, 2]] * 4)
+    enlarged = masks_from_logits(logits, (40, 60), BOTH)
     assert (enlarged[:, :15] == 1).all() and (enlarged[:, 45:] == 2).all() and (enlarged[:, 27:33] == 0).all()
 
 
@@ -171,3 +173,12 @@ def test_network_input_is_normalised_as_in_training():
     assert batch.shape == (1, 3, 2, 3) and batch.dtype == np.float32
     np.testing.assert_array_equal(batch[0, :, 0, 1], [0.0, 127 / 256, -0.25])
     assert batch[0, 0, 0, 0] == -0.5
+
+
+def test_an_absent_hand_gets_no_pixel():
+    logits = np.zeros((3, 1, 3))
+    logits[1, 0] = [5.0, 1.0, -1.0]  # left
+    logits[2, 0] = [1.0, 5.0, -2.0]  # right
+    np.testing.assert_array_equal(masks_from_logits(logits, (1, 3), BOTH), [[1, 2, 0]])
+    np.testing.assert_array_equal(masks_from_logits(logits, (1, 3), np.array([True, False])), [[1, 1, 0]])
+    np.testing.assert_array_equal(masks_from_logits(logits, (1, 3), np.array([False, False])), [[0, 0, 0]])

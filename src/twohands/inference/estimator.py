@@ -132,11 +132,11 @@ class HandEstimator:
         if masks is None or boxes is None:
             canvas, place = letterbox(image, self.card.seg_input_size)
             seg_logits, energy_logits = self.networks.hand_seg_net(network_input(canvas[None]))
-            if masks is None:
-                masks = masks_from_logits(place.content(seg_logits[0]), size)
             if boxes is None:
                 energies = 1.0 / (1.0 + np.exp(-place.content(energy_logits[0])))
                 boxes = boxes_from_energy(energies, size, present=truth.present)
+            if masks is None:
+                masks = masks_from_logits(place.content(seg_logits[0]), size, boxes.present)
         return masks, boxes
 
     def crop(

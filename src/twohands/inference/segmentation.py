@@ -96,7 +96,7 @@ def network_input(images: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(((images.astype(np.float32) - 128.0) / 256.0).transpose(0, 3, 1, 2))
 
 
-def masks_from_logits(logits: np.ndarray, image_size: tuple[int, int]) -> np.ndarray:
+def masks_from_logits(logits: np.ndarray, image_size: tuple[int, int], present: np.ndarray) -> np.ndarray:
     """Per-pixel class at full resolution.
 
     The logits are enlarged before the decision, which keeps outlines smooth.
@@ -104,13 +104,15 @@ def masks_from_logits(logits: np.ndarray, image_size: tuple[int, int]) -> np.nda
     Args:
         logits: (3, h, w) for background, left, right.
         image_size: (H, W) of the picture.
+        present: (2,) bool, which hands are there; a hand that is not gets no pixel.
 
     Returns:
         (H, W) uint8, 0 background, 1 left, 2 right.
     """
     height, width = image_size
-    enlarged = [cv2.resize(np.ascontiguousarray(m, np.float32), (width, height)) for m in logits]
-    return np.argmax(enlarged, axis=0).astype(np.uint8)
+    classes = np.array([0, *(1 + np.flatnonzero(present))], dtype=np.uint8)
+    enlarged = [cv2.resize(np.ascontiguousarray(logits[c], np.float32), (width, height)) for c in classes]
+    return classes[np.argmax(enlarged, axis=0)]
 
 
 def otsu_threshold(energy: np.ndarray) -> float:

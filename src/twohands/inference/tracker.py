@@ -46,8 +46,8 @@ class RangeSmoothing:
     "Degree of the polynomial; lower while the queue fills."
     gate: float = 3.0
     "Largest deviation from the prediction, in its robust standard deviations; inf accepts all."
-    scale_floor: float = 0.02
-    "Smallest standard deviation the gate reckons with, as a fraction of the range: quiet stretches must not bar motion."
+    scale_floor: float = 0.08
+    "Smallest standard deviation the gate reckons with, as a fraction of the range: a fast reach is no gross error."
     jump_frames: int = 3
     "So many radii refused in a row are no outliers: the queue starts again with them."
     missing_frames: int = 5
@@ -130,9 +130,9 @@ class RangeFilter:
     A radius is refused if it deviates from the prediction, the queue's polynomial carried on to the current time, by
     more than `gate` standard deviations of that difference: sigma sqrt(1 + |w|^2), where w are the prediction's weights
     and sigma is the robust scale of the queue's residuals (median absolute deviation, corrected for the coefficients
-    fitted) or the floor. While the queue holds fewer than degree + 4 radii nothing is refused. An outlier thus leaves no
-    trace. A true jump is refused `jump_frames` - 1 times; then the queue starts again with the refused radii, and this
-    frame's result rests on nothing older (with the default 3 it is the raw radius).
+    fitted) or the floor. While the queue holds fewer than degree + 4 radii nothing is refused. An outlier thus leaves
+    no trace. A true jump is refused `jump_frames` - 1 times; then the queue starts again with the refused radii, and
+    the result rests on nothing older (with the default 3 it is the raw radius in the third frame).
 
     Args:
         smoothing: length, degree and limits.
@@ -155,6 +155,11 @@ class RangeFilter:
         """(n,) raw radii of the queue, metres."""
         return np.array([radius for _, radius in self._queue])
 
+    @property
+    def predicting(self) -> bool:
+        """Whether the last frame added nothing to the queue, so that its result, if any, was the prediction."""
+        return self._barren_frames > 0
+
     def reset(self) -> None:
         """Forget everything, the clock included."""
         self._restart([])
@@ -176,27 +181,25 @@ class RangeFilter:
         """
         if not (math.isfinite(time) and time > self._now):
             raise InputError(
-                f"range smoothing: frame time {time} does not follow {self._now}; frames need increasing time_s or index, "
-                "and reset() comes before another video"
+                f"range smoothing: frame time {time} does not follow {self._now}; frames need increasing time_s or "
+                "index, and reset() comes before another video"
             )
         self._now = time
         if self._queue and time - self._queue[-1][0] > self.smoothing.max_gap_s:
             self._restart([])
-        measured = radius_m is not None and math.isfinite(radius_m) and radius_m > 0
-        if measured and not self._refuses(time, radius_m):
-            self._barren_frames = 0
-            self._refused = []
-            self._queue.append((time, radius_m))
+        if radius_m is None or not (math.isfinite(radius_m) and radius_m > 0):
+            self._barren_frames += 1
+            if self._barren_frames >= self.smoothing.missing_frames:
+                self._restart([])
+            return self.prediction(time)
+        if not self._refuses(time, radius_m):
+            self._restart([*self._queue, (time, radius_m)])
             return self._smoothed()
         self._barren_frames += 1
-        dropped = self._barren_frames >= self.smoothing.missing_frames
-        if measured:
-            self._refused.append((time, radius_m))
-            if dropped or len(self._refused) >= self.smoothing.jump_frames:
-                self._restart(self._refused)
-                return self._smoothed()
-        elif dropped:
-            self._restart([])
+        self._refused.append((time, radius_m))
+        if len(self._refused) >= self.smoothing.jump_frames or self._barren_frames >= self.smoothing.missing_frames:
+            self._restart(self._refused)
+            return self._smoothed()
         return self.prediction(time)
 
     def prediction(self, time: float) -> float | None:
@@ -205,7 +208,7 @@ class RangeFilter:
         Its degree leaves one radius to spare: a parabola through three noisy points says little about the fourth.
 
         Returns:
-            Radius in metres, positive; None with fewer than 3 radii, or where the polynomial has left the positive range.
+            Radius in metres, positive; None with fewer than 3 radii, or where the polynomial is not positive.
         """
         if len(self._queue) < _FEWEST:
             return None
@@ -213,6 +216,7 @@ class RangeFilter:
         return radius if radius > 0 else None
 
     def _restart(self, queue: list[tuple[float, float]]) -> None:
+        """Go on with this queue; what was refused or missing until now is settled."""
         self._queue = deque(queue, maxlen=self.smoothing.length)
         self._refused = []
         self._barren_frames = 0
@@ -232,11 +236,12 @@ class RangeFilter:
         spare = len(self._queue) - self.smoothing.degree - 1
         if prediction is None or spare < _SPARE_FOR_SCALE:
             return False
-        times, radii, degree = self.times, self.radii_m, self._predicting_degree()
-        residuals = radii - polynomial_value(times, radii, degree, times)
+        times, radii = self.times, self.radii_m
+        weights = polynomial_weights(times, self._predicting_degree(), np.append(times, time))  # (n + 1, n)
+        residuals = radii - weights[:-1] @ radii
         scale = _MAD_TO_SIGMA * float(np.median(np.abs(residuals))) * math.sqrt(len(radii) / spare)
         scale = max(scale, self.smoothing.scale_floor * prediction)
-        spread = math.hypot(1.0, float(np.linalg.norm(polynomial_weights(times, degree, time))))
+        spread = math.hypot(1.0, float(np.linalg.norm(weights[-1])))
         return abs(radius_m - prediction) > self.smoothing.gate * scale * spread
 
     def _predicting_degree(self) -> int:
@@ -270,9 +275,10 @@ class HandTracker:
 
         Returns:
             The same pose with `range_m` and `joints_m` of valid hands smoothed: joints moved rigidly along the root's
-            line of sight. A present hand without a valid range is placed at the queue's prediction, with `valid` True
-            and `method` "predicted", if the queue has one and the hand has a canonical pose, a direction and a length
-            known from an earlier frame. Everything else, absent hands included, is as it came; so are the pixels.
+            line of sight; where the range was refused as an outlier, to the prediction, with `method` "predicted". A
+            present hand without a valid range is placed at the queue's prediction, with `valid` True and that `method`,
+            if the queue has one and the hand has a canonical pose, a direction and a length known from an earlier
+            frame. Everything else is as it came: pixels, directions, and absent hands altogether.
 
         Raises:
             InputError: neither time nor index advances.
@@ -292,12 +298,14 @@ class HandTracker:
     def _update(self, side: int, hand: HandPose, time: float) -> HandPose:
         solved = hand.present and bool(hand.valid) and hand.joints_m is not None
         radius = self._filters[side].update(time, hand.range_m if solved else None)
-        if radius is None or not hand.present:
-            return hand
         if solved:
             self._hand_length_m[side] = _hand_length(hand) or self._hand_length_m[side]
-            return moved_to_range(hand, radius)
-        return placed_at_range(hand, radius, self._hand_length_m[side])
+        if radius is None or not hand.present:
+            return hand
+        if not solved:
+            return placed_at_range(hand, radius, self._hand_length_m[side])
+        moved = moved_to_range(hand, radius)
+        return replace(moved, method=PREDICTED) if self._filters[side].predicting and moved is not hand else moved
 
 
 def moved_to_range(hand: HandPose, range_m: float) -> HandPose:
@@ -349,7 +357,7 @@ def placed_at_range(hand: HandPose, range_m: float, hand_length_m: float | None)
 def _hand_length(hand: HandPose) -> float | None:
     """The length that the estimator multiplied the canonical pose with, metres; None where it cannot be told."""
     if hand.canonical is None or hand.joints_m is None:
-        return None
+        return None  # another system's pose
     unit = float(np.linalg.norm(hand.canonical[WRIST] - hand.canonical[ROOT]))
     length = float(np.linalg.norm(hand.joints_m[WRIST] - hand.joints_m[ROOT]))
     return length / unit if unit > 0 and math.isfinite(length / unit) else None
