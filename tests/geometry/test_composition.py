@@ -58,5 +58,7 @@ def test_a_dimmed_background_keeps_what_the_mask_missed():
     outside = MASKS == 0
     np.testing.assert_array_equal(dimmed[~outside], plain[~outside])
     np.testing.assert_array_equal(dimmed[outside], (IMAGE[outside] * np.float32(0.25)).astype(np.uint8))
-    beyond = compose_hand_input(IMAGE, MASKS, np.array([[1.0, 0, -100], [0, 1, 0], [0, 0, 1]]), LEFT, 4, background=0.25)
+    beyond = compose_hand_input(
+        IMAGE, MASKS, np.array([[1.0, 0, -100], [0, 1, 0], [0, 0, 1]]), LEFT, 4, background=0.25
+    )
     assert not beyond.any()

@@ -224,6 +224,33 @@ def test_an_outlier_leaves_no_trace():
         assert abs(ungated[25] - 0.4) > 0.1
 
 
+@pytest.mark.parametrize(
+    ("radii", "floor", "limit"),
+    [
+        # mean 4/10; the floor 0.08 x 4/10 is the scale; the mean of four has 1/4 of the variance
+        ((0.4, 0.4, 0.4, 0.4), 0.08, 3 * 0.08 * 0.4 * math.sqrt(5 / 4)),
+        # mean 3, deviations 2 1 0 3, their median 3/2, one coefficient of four fitted
+        ((1.0, 2.0, 3.0, 6.0), 0.0, 3 * 1.4826 * 1.5 * math.sqrt(4 / 3) * math.sqrt(5 / 4)),
+    ],
+)
+def test_the_gate_by_hand(radii, floor, limit):
+    for deviation, refused in ((0.999 * limit, False), (1.001 * limit, True)):
+        range_filter = RangeFilter(RangeSmoothing(degree=0, scale_floor=floor))
+        for i, radius in enumerate([*radii, np.mean(radii) + deviation]):
+            range_filter.update(i / FPS, radius)
+        assert range_filter.predicting == refused
+
+
+def test_nothing_is_refused_before_there_is_a_scale():
+    assert smoothed([0.4] * 6 + [3.0])[-1] == pytest.approx(0.4)
+    assert smoothed([0.4] * 5 + [3.0])[-1] > 2
+
+
+def test_three_radii_predict_along_a_line():
+    """0.41 + 2 * 0.005; the parabola through them would say 0.37."""
+    assert smoothed([0.40, 0.42, 0.41, None])[-1] == pytest.approx(0.42)
+
+
 def test_an_outlier_is_judged_by_the_noise_around_it():
     """0.4 -> 0.7: gross where the range is steady, ordinary where it always jumps that far."""
     steady = np.full(20, 0.4)
@@ -325,8 +352,9 @@ def test_a_prediction_is_a_range_or_none():
 
 
 def test_a_smoothed_range_stays_positive():
-    radii = [1.0] * 10 + [0.1] * 5
-    assert min(smoothed(radii, RangeSmoothing(degree=1, gate=math.inf))) > 0
+    radii = [1.0] * 8 + [0.01] * 7
+    assert polynomial_value(np.arange(15), radii, 1, 14) < 0
+    assert smoothed(radii, RangeSmoothing(degree=1, gate=math.inf))[-1] == 0.01
 
 
 def test_reset_is_a_new_filter():
@@ -519,7 +547,7 @@ def test_tracker_reset_is_a_new_tracker():
         used.update(frame(hand_at(0.9), hand_at(0.2), time_s=100.0 + i))
     used.reset()
     for i, radius in enumerate(radii):
-        pose = frame(hand_at(radius, valid=i not in (0, 8)), index=i)
+        pose = frame(hand_at(radius, valid=i not in (0, 8)), time_s=i / FPS)
         assert same_hand(used.update(pose).left, new.update(pose).left)
 
 

@@ -2,18 +2,21 @@
 
 import dataclasses
 import json
+import os
 import shutil
+import signal
 
 import cv2
 import numpy as np
 import pytest
 
-from twohands.errors import InputError
+from twohands.errors import InputError, TwoHandsError
 from twohands.geometry.canonical import canonical_from_camera
 from twohands.skeleton import ROOT
 from twohands.synth.cache import FrameCache, build_cache
 from twohands.synth.config import SynthConfig
 from twohands.synth.generate import StaticSet, generate_static
+from twohands.synth.production import in_processes
 from twohands.synth.stream import SyntheticStream
 from twohands.synth.writer import joints_px_with_elbow
 
@@ -43,7 +46,6 @@ def test_a_rerun_writes_only_what_is_missing(written, tmp_path):
     shutil.rmtree(copy / "00003")
     (copy / ".00004.1.partial").mkdir()
     assert generate_static(SET, copy) == 1
-    shutil.rmtree(copy / ".00004.1.partial")
     assert contents(copy) == contents(written)
 
 
@@ -144,7 +146,7 @@ def test_cache_resumes_and_varies_backgrounds(tmp_path):
     before = contents(tmp_path / "c")
     build_cache(tmp_path / "c", CONFIG, 9, 4)
     assert contents(tmp_path / "c") == before
-    with pytest.raises(InputError, match="another configuration"):
+    with pytest.raises(InputError, match="another set"):
         build_cache(tmp_path / "c", CONFIG, 10, 4)
     cache = FrameCache(tmp_path / "c", variants=3)
     assert len(cache) == 12
@@ -155,3 +157,31 @@ def test_cache_resumes_and_varies_backgrounds(tmp_path):
     np.testing.assert_allclose(first.joints_m, SyntheticStream(CONFIG, 9, 4)[1].joints_m, atol=1e-6)
     empty = FrameCache(tmp_path / "c", empty_rate=1.0)[0]
     assert not empty.present.any() and not empty.labels.any() and empty.image.std() > 0
+
+
+def test_frames_never_land_in_a_foreign_folder(tmp_path):
+    """Named case: a user's own labels.npy was once overwritten."""
+    np.save(tmp_path / "labels.npy", np.full(3, 99))
+    with pytest.raises(InputError, match="not empty"):
+        build_cache(tmp_path, CONFIG, 9, 2)
+    assert np.load(tmp_path / "labels.npy").tolist() == [99, 99, 99]
+
+
+def test_held_out_frames_share_no_background_with_training(tmp_path):
+    """Named case: item k of the held-out part once had the background of item k of the training part."""
+    build_cache(tmp_path / "c", CONFIG, 9, 4)
+    train, held_out = (FrameCache(tmp_path / "c", frames=f) for f in ((0, 2), (2, 4)))
+    same = (train[0].image == held_out[0].image).all(-1)
+    free = (train[0].labels == 0) & (held_out[0].labels == 0)
+    assert same[free].mean() < 0.2
+
+
+def _die(_: int) -> int:
+    os.kill(os.getpid(), signal.SIGKILL)
+    return 0
+
+
+def test_a_dead_worker_is_an_error_not_a_hang():
+    """Named case: a killed worker once left the run waiting for ever."""
+    with pytest.raises(TwoHandsError, match="worker process died"):
+        list(in_processes(_die, [1, 2, 3], 2, print, ()))

@@ -5,7 +5,9 @@ import pytest
 
 from twohands.skeleton import LEFT, RIGHT
 from twohands.synth.body import forward_kinematics, load_asset, posed_joints
+from twohands.synth.config import SynthConfig
 from twohands.synth.pose import ArmAnatomy, HandAngles, rotation_about, signed_angle
+from twohands.synth.scene import sample_scene
 
 MIRROR = np.array([-1.0, 1.0, 1.0])
 
@@ -88,17 +90,50 @@ def test_spread_opens_towards_the_thumb(body, side):
 
 
 @pytest.mark.parametrize("side", [LEFT, RIGHT])
-def test_opposition_brings_the_thumb_out_of_the_palm(body, side):
-    straight, _ = pose_hand(body, side)
-    opposed, _ = pose_hand(body, side, thumb=np.array([0.6, 0, 0, 0]))
-    assert (opposed[4] - straight[4]) @ _palm_normal(straight, side) > 0.01
+@pytest.mark.parametrize(("radial", "palmar"), [(0.0, 0.0), (0.5, 0.0), (0.2, 0.7), (0.9, 0.4)])
+def test_the_thumbs_metacarpal_points_where_it_is_told(body, side, radial, palmar):
+    joints, _ = pose_hand(body, side, thumb=np.array([radial, palmar, 0.0, 0.0]))
+    bone = joints[2] - joints[1]
+    normal = _palm_normal(joints, side)
+    assert np.arcsin(bone @ normal / np.linalg.norm(bone)) == pytest.approx(palmar, abs=0.06)
+    along = joints[9] - joints[0]
+    outward = np.cross(normal, along) * (1 if side == LEFT else -1)
+    outward *= np.sign(outward @ (joints[5] - joints[17]))
+    angle = np.arctan2(bone @ outward / np.linalg.norm(outward), bone @ along / np.linalg.norm(along))
+    assert angle == pytest.approx(radial, abs=0.06)
+
+
+@pytest.mark.parametrize("side", [LEFT, RIGHT])
+def test_opposition_brings_the_thumb_out_of_the_palm_not_to_the_wrist(body, side):
+    """Named case: opposition once swung the tip back towards the wrist."""
+    flat, _ = pose_hand(body, side, thumb=np.array([0.5, 0.0, 0.2, 0.2]))
+    opposed, _ = pose_hand(body, side, thumb=np.array([0.3, 0.8, 0.2, 0.2]))
+    assert (opposed[4] - flat[4]) @ _palm_normal(flat, side) > 0.02
+    hand_length = np.linalg.norm(opposed[9] - opposed[0])
+    assert np.linalg.norm(opposed[4] - opposed[0]) > 0.6 * hand_length
 
 
 @pytest.mark.parametrize("side", [LEFT, RIGHT])
 def test_a_bent_thumb_comes_nearer_to_the_little_finger(body, side):
-    straight, _ = pose_hand(body, side)
-    bent, _ = pose_hand(body, side, thumb=np.array([0.0, 0, 0.6, 0.8]))
+    straight, _ = pose_hand(body, side, thumb=np.array([0.5, 0.4, 0.0, 0.0]))
+    bent, _ = pose_hand(body, side, thumb=np.array([0.5, 0.4, 0.6, 0.8]))
     assert np.linalg.norm(bent[4] - bent[17]) < np.linalg.norm(straight[4] - straight[17]) - 0.01
+
+
+def test_random_thumbs_are_where_peoples_are():
+    """Tip relative to the middle knuckle in palm widths; people (96 photographs): along -0.2..0.4, out 0.2..1.2."""
+    tips = []
+    for i in range(60):
+        scene = sample_scene(SynthConfig(width=480, height=270), 31, i)
+        for side in np.flatnonzero(scene.present):
+            joints = scene.joints_m[side, 1:]
+            width = np.linalg.norm(joints[5] - joints[17])
+            along = (joints[9] - joints[0]) / np.linalg.norm(joints[9] - joints[0])
+            tip = (joints[4] - joints[9]) / width
+            tips.append([tip @ along, tip @ _palm_normal(joints, side)])
+    along, out = np.median(tips, axis=0)
+    assert -0.35 < along < 0.35
+    assert 0.3 < out < 1.1
 
 
 def test_pronation_turns_both_palms_down(body):

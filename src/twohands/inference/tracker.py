@@ -86,8 +86,8 @@ def polynomial_weights(times: np.ndarray, degree: int, at: np.ndarray | float) -
     Raises:
         InputError: fewer than degree + 1 different times, or a time that is not finite.
 
-    Times are counted from the first and scaled to their span, and the basis is Legendre's: the result is as good for
-    clocks that count from 1970 as for those that count from 0.
+    Times are counted from the middle of their span, in units of half of it, and the basis is Legendre's: clocks that
+    count from 1970 do as well as clocks that count from 0.
     """
     times, at = np.asarray(times, np.float64), np.asarray(at, np.float64)
     if times.ndim != 1 or not np.isfinite(times).all() or not np.isfinite(at).all():
@@ -96,11 +96,9 @@ def polynomial_weights(times: np.ndarray, degree: int, at: np.ndarray | float) -
         raise InputError(
             f"polynomial regression: degree {degree} needs {degree + 1} different times, got {len(np.unique(times))}"
         )
-    start = times[0]
-    since, at_since = times - start, at - start
-    middle, half = (since.max() + since.min()) / 2, (since.max() - since.min()) / 2 or 1.0
-    basis = legendre.legvander((since - middle) / half, degree)  # (N, degree + 1)
-    weights = legendre.legvander((np.atleast_1d(at_since) - middle) / half, degree) @ np.linalg.pinv(basis)
+    middle, half = (times.max() + times.min()) / 2, (times.max() - times.min()) / 2 or 1.0
+    basis = legendre.legvander((times - middle) / half, degree)  # (N, degree + 1)
+    weights = legendre.legvander((np.atleast_1d(at) - middle) / half, degree) @ np.linalg.pinv(basis)
     return weights.reshape(*at.shape, len(times))
 
 

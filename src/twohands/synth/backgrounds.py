@@ -56,16 +56,15 @@ class BackgroundFolder:
 
     Args:
         folder: holds .jpg, .png, .bmp or .webp files.
-        files: use these of its files only; all if None.
 
     Raises:
         InputError: the folder does not exist or holds no readable picture.
     """
 
-    def __init__(self, folder: Path, files: tuple[Path, ...] | None = None) -> None:
+    def __init__(self, folder: Path) -> None:
         if not folder.is_dir():
             raise InputError(f"background folder {folder} does not exist")
-        found = files or tuple(sorted(p for p in folder.rglob("*") if p.suffix.lower() in IMAGE_SUFFIXES))
+        found = sorted(path for path in folder.rglob("*") if path.suffix.lower() in IMAGE_SUFFIXES)
         self.files = tuple(path for path in found if path.stat().st_size > 0)
         if not self.files:
             raise InputError(f"no background picture ({', '.join(IMAGE_SUFFIXES)}) in {folder}")
@@ -86,7 +85,7 @@ class BackgroundFolder:
 
 
 class MixedBackgrounds:
-    """Draws from several sources in turn, each with its weight."""
+    """Draws from several sources at random, each with its weight."""
 
     def __init__(self, sources: tuple[Backgrounds, ...], weights: tuple[float, ...]) -> None:
         self.sources = sources
@@ -116,12 +115,12 @@ def augment(picture: np.ndarray, rng: np.random.Generator, width: int, height: i
     return np.asarray(cv2.LUT(crop, np.ascontiguousarray(table[None])))
 
 
-@lru_cache(maxsize=600)
+@lru_cache(maxsize=256)
 def _read(path: Path) -> np.ndarray | None:
     picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if picture is None:
         return None
-    scale = 1280 / max(picture.shape[:2])
+    scale = 960 / max(picture.shape[:2])
     if scale < 1:
         picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB))

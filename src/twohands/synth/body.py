@@ -157,7 +157,7 @@ class ArmsAsset:
         if shape is not None and len(shape):
             points = points + np.tensordot(np.asarray(shape, np.float32), self.basis[: len(shape)], axes=1)
         vertices, heads = points[: self.n_vertices], points[self.n_vertices :]
-        # The joint sits inside the flesh: a fifth of the way from the skin back to the last knuckle.
+        # The joint sits inside the flesh: a tenth of the way from the skin back to the last knuckle.
         last = heads[JOINT_BONES[:, [4, 8, 12, 16, 20]]]
         tips = vertices[self.tip_vertices] * 0.9 + last * 0.1
         return Body(vertices, heads, tips, self)

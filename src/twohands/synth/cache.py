@@ -7,20 +7,21 @@ one rendered frame serves many training samples.
 from __future__ import annotations
 
 import json
-import multiprocessing
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
-from twohands.errors import DataFormatError, InputError
+from twohands.errors import DataFormatError
+from twohands.geometry.camera import project
 from twohands.synth.backgrounds import Backgrounds, ProceduralBackgrounds
 from twohands.synth.compositing import compose
 from twohands.synth.config import SynthConfig
+from twohands.synth.production import MANIFEST, claim_folder, in_processes
 from twohands.synth.scene import instance_rng
-from twohands.synth.stream import SyntheticStream, hand_sample
-from twohands.types import HandSample, PinholeCamera, RenderedFrame
+from twohands.synth.stream import SyntheticStream
+from twohands.types import HandSample, PinholeCamera
 
 _VARIANT_STREAM = 1 << 41
 
@@ -56,45 +57,44 @@ def build_cache(
         progress: called with (frames done, count) now and then.
 
     Raises:
-        InputError: the folder holds a cache of another configuration.
+        InputError: the folder holds something else.
+        TwoHandsError: a worker process died.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    manifest = {"version": 1, "seed": seed, "count": count, "config": asdict(config)}
-    path = folder / "manifest.json"
-    if path.exists() and json.loads(path.read_text()) != json.loads(json.dumps(manifest)):
-        raise InputError(f"{folder} holds a cache of another configuration: choose an empty folder")
+    claim_folder(folder, {"format": "frames-1", "seed": seed, "count": count, "config": asdict(config)})
     for name, (shape, dtype) in _layout(config, count).items():
         file = folder / f"{name}.npy"
         if not file.exists():
             np.lib.format.open_memmap(file, mode="w+", dtype=dtype, shape=shape).flush()
-    path.write_text(json.dumps(manifest, indent=1))
-    missing = np.flatnonzero(~np.load(folder / "done.npy", mmap_mode="r"))
-    chunks = [chunk for chunk in np.array_split(missing, max(len(missing) // 50, 1)) if len(chunk)]
-    jobs = [(folder, config, seed, count, chunk) for chunk in chunks]
+    missing = [int(i) for i in np.flatnonzero(~np.load(folder / "done.npy", mmap_mode="r"))]
     finished = count - len(missing)
-    with multiprocessing.get_context("spawn").Pool(workers) as pool:
-        for done in pool.imap_unordered(_render_chunk, jobs):
-            finished += done
-            if progress is not None:
-                progress(finished, count)
+    for _ in in_processes(_render_frame, missing, workers, _start_worker, (folder, config, seed, count)):
+        finished += 1
+        if progress is not None:
+            progress(finished, count)
 
 
-_streams: dict[tuple[SynthConfig, int, int], SyntheticStream] = {}
+_job: tuple[SyntheticStream, dict[str, np.ndarray]] | None = None
+"""Of a worker process: set once by `_start_worker`."""
 
 
-def _render_chunk(job: tuple[Path, SynthConfig, int, int, np.ndarray]) -> int:
-    folder, config, seed, count, indices = job
-    stream = _streams.setdefault((config, seed, count), SyntheticStream(config, seed, count))
+def _start_worker(folder: Path, config: SynthConfig, seed: int, count: int) -> None:
+    global _job
     arrays = {name: np.load(folder / f"{name}.npy", mmap_mode="r+") for name in _layout(config, count)}
-    for index in indices:
-        frame = stream.frame(int(index))
-        arrays["rgba"][index, ..., :3] = frame.rgb
-        arrays["rgba"][index, ..., 3] = frame.alpha
-        arrays["labels"][index] = frame.part_labels
-        arrays["joints"][index] = frame.joints_m
-        arrays["present"][index] = frame.present
-        arrays["done"][index] = True
-    return len(indices)
+    _job = SyntheticStream(config, seed, count), arrays
+
+
+def _render_frame(index: int) -> int:
+    if _job is None:
+        raise RuntimeError("worker was not started")
+    stream, arrays = _job
+    frame = stream.frame(index)
+    arrays["rgba"][index, ..., :3] = frame.rgb
+    arrays["rgba"][index, ..., 3] = frame.alpha
+    arrays["labels"][index] = frame.part_labels
+    arrays["joints"][index] = frame.joints_m
+    arrays["present"][index] = frame.present
+    arrays["done"][index] = True
+    return index
 
 
 def vary_arms(rgb: np.ndarray, labels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -146,7 +146,7 @@ class FrameCache:
         empty_rate: float = 0.0,
     ) -> None:
         try:
-            manifest = json.loads((folder / "manifest.json").read_text())
+            manifest = json.loads((folder / MANIFEST).read_text())
             self.seed = int(manifest["seed"])
             self._arrays = {
                 name: np.load(folder / f"{name}.npy", mmap_mode="r") for name in ("rgba", "labels", "joints", "present")
@@ -167,7 +167,7 @@ class FrameCache:
     @staticmethod
     def is_cache(folder: Path) -> bool:
         """Whether `build_cache` has written to this folder."""
-        return (folder / "manifest.json").is_file() and (folder / "rgba.npy").is_file()
+        return (folder / MANIFEST).is_file() and (folder / "rgba.npy").is_file()
 
     def __len__(self) -> int:
         return len(self.indices) * self.variants
@@ -175,26 +175,38 @@ class FrameCache:
     def __getitem__(self, index: int) -> HandSample:
         if not 0 <= index < len(self):
             raise IndexError(f"sample {index} of {len(self)}")
-        at = self.indices[index % len(self.indices)]
+        variant, offset = divmod(index, len(self.indices))
+        at = self.indices[offset]
         arrays = self._arrays
         rgba = np.asarray(arrays["rgba"][at])
         labels = np.asarray(arrays["labels"][at])
-        rng = instance_rng(self.seed, _VARIANT_STREAM + index)
+        # Keyed by the frame itself, so that held-out frames never share a draw with training ones.
+        rng = instance_rng(self.seed, _VARIANT_STREAM + variant * len(arrays["present"]) + at)
         background = self.backgrounds.sample(rng, self.camera.width, self.camera.height)
         if rng.random() < self.empty_rate:
             nothing = np.full((2, 22, 3), np.nan)
             absent = np.zeros(2, bool)
-            zeros = np.zeros(labels.shape, np.float32)
-            blank = RenderedFrame(background, zeros.astype(np.uint8), zeros, labels * 0, nothing, absent, self.camera)
-            return hand_sample(blank, f"{self.name} #{index}")
+            return self._sample(background, np.zeros_like(labels), nothing, absent, index)
         colour = vary_arms(rgba[..., :3], labels, rng)
-        frame = RenderedFrame(
-            rgb=compose(colour, rgba[..., 3], background),
-            alpha=rgba[..., 3],
-            depth_m=np.zeros(labels.shape, np.float32),
-            part_labels=labels,
-            joints_m=np.asarray(arrays["joints"][at], np.float64),
-            present=np.asarray(arrays["present"][at]),
-            camera=self.camera,
+        return self._sample(
+            compose(colour, rgba[..., 3], background),
+            labels,
+            np.asarray(arrays["joints"][at], np.float64),
+            np.asarray(arrays["present"][at]),
+            index,
         )
-        return hand_sample(frame, f"{self.name} #{index}")
+
+    def _sample(
+        self, image: np.ndarray, labels: np.ndarray, joints_m: np.ndarray, present: np.ndarray, index: int
+    ) -> HandSample:
+        hand = joints_m[:, 1:]
+        return HandSample(
+            image=image,
+            camera=self.camera,
+            present=present,
+            joints_px=project(hand, self.camera),
+            joints_m=hand,
+            valid=np.repeat(present[:, None], hand.shape[1], axis=1),
+            labels=labels,
+            source=f"{self.name} #{index}",
+        )

@@ -6,7 +6,6 @@ from functools import lru_cache
 
 import numpy as np
 
-from twohands.skeleton import FINGERTIPS
 from twohands.synth.body import JOINT_BONES, Body, load_asset
 
 _SEGMENTS = np.array(
@@ -15,6 +14,11 @@ _SEGMENTS = np.array(
     + [(2 + 4 * f + i, 3 + 4 * f + i) for f in range(5) for i in range(3)]
 )
 N_SEGMENTS = len(_SEGMENTS)
+PALM_RADIUS_M = 0.0135
+"""Of the four capsules that fill the palm of the average hand."""
+FINGERS_TOUCH, PALM_TOUCH, HANDS_TOUCH = 0.72, 0.9, 0.98
+"""Two capsules collide when nearer than this share of their radii's sum: fingers lie side by side with their flesh
+pressed together, the palm yields little, two hands may just touch."""
 
 
 def _finger_of(segment: int) -> int:
@@ -22,23 +26,26 @@ def _finger_of(segment: int) -> int:
     return -1 if segment < 5 else (segment - 5) // 3
 
 
-def _self_pairs() -> np.ndarray:
-    """Pairs of segments of one hand that must not touch: phalanges of different fingers, and tips with the palm."""
-    pairs = []
+def _self_pairs() -> tuple[np.ndarray, np.ndarray]:
+    """Pairs (N, 2) of segments of one hand that must not enter each other, and the share (N,) at which they do.
+
+    Phalanges of different fingers, and everything beyond the first phalanx with palm and forearm. First phalanges of
+    neighbours touch at rest, and the thumb's second segment begins in the palm.
+    """
+    pairs, shares = [], []
     for a in range(N_SEGMENTS):
         for b in range(a + 1, N_SEGMENTS):
-            fa, fb = _finger_of(a), _finger_of(b)
-            if fa >= 0 and fb >= 0 and fa != fb:
-                # Neighbours touch along their first phalanges at rest.
-                if (a - 5) % 3 == 0 and (b - 5) % 3 == 0:
-                    continue
+            fa, fb, first_a, beyond_b = _finger_of(a), _finger_of(b), (a - 5) % 3 == 0, (b - 5) % 3
+            if fa >= 0 and fb >= 0 and fa != fb and not (first_a and beyond_b == 0):
                 pairs.append((a, b))
-            elif (1 <= a <= 4 and fb >= 1 and (b - 5) % 3 >= 1) or (a == 0 and fb >= 0 and (b - 5) % 3 >= 1):
+                shares.append(FINGERS_TOUCH)
+            elif fa < 0 and beyond_b >= (2 if fb == 0 else 1) and fb >= 0:
                 pairs.append((a, b))
-    return np.array(pairs)
+                shares.append(PALM_TOUCH)
+    return np.array(pairs), np.array(shares)
 
 
-_SELF_PAIRS = _self_pairs()
+_SELF_PAIRS, _SELF_SHARES = _self_pairs()
 _CROSS_PAIRS = np.stack(np.meshgrid(np.arange(N_SEGMENTS), np.arange(N_SEGMENTS), indexing="ij"), -1).reshape(-1, 2)
 
 
@@ -54,7 +61,7 @@ def _radii() -> np.ndarray:
         if i == 0:
             bones = [JOINT_BONES[0, 0], JOINT_BONES[0, 0] + 1]
         elif i < 5:
-            radii[i] = 0.011
+            radii[i] = PALM_RADIUS_M
             continue
         else:
             bones = [JOINT_BONES[0, a]]
@@ -78,33 +85,31 @@ def segment_distance(a0: np.ndarray, a1: np.ndarray, b0: np.ndarray, b1: np.ndar
     return np.linalg.norm(w + s[:, None] * u - t[:, None] * v, axis=-1)
 
 
-def hands_collide(body: Body, transforms: np.ndarray, joints: np.ndarray, present: np.ndarray) -> bool:
-    """Whether any finger enters the palm, another finger, or the other hand or forearm.
+def _sized_radii(body: Body) -> np.ndarray:
+    return _radii() * (body.hand_length_m / load_asset().body().hand_length_m)
+
+
+def hand_enters_itself(body: Body, joints: np.ndarray) -> bool:
+    """Whether a finger enters the palm, the forearm or another finger by more than the flesh yields.
 
     Args:
         body: the person.
-        transforms: (48, 3, 4) pose, unused bones included.
-        joints: (2, 22, 3) posed joints in the body's metres.
-        present: (2,) bool; absent arms cannot collide.
-
-    Returns:
-        True if two capsules overlap by more than the flesh yields.
+        joints: (22, 3) posed joints of one arm in the body's metres.
     """
-    del transforms
-    radii = _radii() * (body.hand_length_m / load_asset().body().hand_length_m)
-    starts, ends = joints[:, _SEGMENTS[:, 0]].copy(), joints[:, _SEGMENTS[:, 1]].copy()
-    # The forearm capsule starts a little before the wrist, where the palm's capsules take over.
-    for side in np.flatnonzero(present):
-        a, b = _SELF_PAIRS.T
-        gap = segment_distance(starts[side][a], ends[side][a], starts[side][b], ends[side][b])
-        if (gap < 0.72 * (radii[a] + radii[b])).any():
-            return True
-    if present.all():
-        a, b = _CROSS_PAIRS.T
-        gap = segment_distance(starts[0][a], ends[0][a], starts[1][b], ends[1][b])
-        if (gap < 1.02 * (radii[a] + radii[b])).any():
-            return True
-    return False
+    a, b = _SELF_PAIRS.T
+    radii, starts, ends = _sized_radii(body), joints[_SEGMENTS[:, 0]], joints[_SEGMENTS[:, 1]]
+    gap = segment_distance(starts[a], ends[a], starts[b], ends[b])
+    return bool((gap < _SELF_SHARES * (radii[a] + radii[b])).any())
 
 
-__all__ = ["FINGERTIPS", "hands_collide", "segment_distance"]
+def hands_collide(body: Body, joints: np.ndarray) -> bool:
+    """Whether a hand or forearm enters the other.
+
+    Args:
+        body: the person.
+        joints: (2, 22, 3) posed joints in the body's metres.
+    """
+    a, b = _CROSS_PAIRS.T
+    radii, starts, ends = _sized_radii(body), joints[:, _SEGMENTS[:, 0]], joints[:, _SEGMENTS[:, 1]]
+    gap = segment_distance(starts[0][a], ends[0][a], starts[1][b], ends[1][b])
+    return bool((gap < HANDS_TOUCH * (radii[a] + radii[b])).any())

@@ -18,7 +18,8 @@ class SynthConfig:
     drop_rate: float = 0.1
     """Probability that a hand is missing; never both."""
     body_variation: float = 0.0
-    """Spread of body and hand shape about the average adult: 0 is the paper's single character, 1 all adults."""
+    """Spread of body and hand shape about the average adult: 0 is the paper's single character, 1 the
+    spread of the sampled adults."""
     hand_length: float | None = 0.10
     """Scale the world so that wrist to middle knuckle has this length in metres (the paper: 0.10); None keeps the
     body's own size."""
@@ -39,8 +40,8 @@ class SynthConfig:
             raise InputError(f"image must be at least 32x32 pixels, got {self.width}x{self.height}")
         if not 0 <= self.drop_rate < 1:
             raise InputError(f"drop_rate must lie in [0, 1), got {self.drop_rate}")
-        if not 0 <= self.body_variation <= 2:
-            raise InputError(f"body_variation must lie in [0, 2], got {self.body_variation}")
+        if not 0 <= self.body_variation <= 1:
+            raise InputError(f"body_variation must lie in [0, 1], got {self.body_variation}")
         if self.hand_length is not None and not 0.02 <= self.hand_length <= 0.5:
             raise InputError(f"hand_length must lie in [0.02, 0.5] metres, got {self.hand_length}")
         if not all(a < b for a, b in zip(self.box_min, self.box_max, strict=True)) or self.box_min[2] <= 0:

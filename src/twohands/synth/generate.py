@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-import multiprocessing
-import os
+import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -15,10 +14,9 @@ from twohands.errors import InputError
 from twohands.synth.backgrounds import BackgroundFolder, Backgrounds, ProceduralBackgrounds
 from twohands.synth.compositing import compose_frame
 from twohands.synth.config import SynthConfig
+from twohands.synth.production import claim_folder, in_processes
 from twohands.synth.stream import SyntheticStream
 from twohands.synth.writer import encode_instance, write_instance
-
-MANIFEST = "manifest.json"
 
 
 @dataclass(frozen=True)
@@ -74,10 +72,13 @@ def generate_static(
     Raises:
         InputError: the folder belongs to another set or to something else, or cannot be written.
         MissingExtraError, RendererError: no renderer on this machine.
+        TwoHandsError: a worker process died.
     """
     if static_set.count < 1:
         raise InputError(f"count must be at least 1, got {static_set.count}")
-    _claim(out, static_set.manifest())
+    claim_folder(out, static_set.manifest())
+    for stale in out.glob(".*.partial"):
+        shutil.rmtree(stale, ignore_errors=True)
     missing = [i for i in range(static_set.count) if not (out / instance_name(i)).is_dir()]
     there = static_set.count - len(missing)
     for _ in _write_all(static_set, out, missing, workers):
@@ -87,37 +88,13 @@ def generate_static(
     return len(missing)
 
 
-def _claim(out: Path, manifest: dict[str, object]) -> None:
-    """Makes the folder this set's own, or checks that it already is."""
-    path = out / MANIFEST
-    if path.is_file():
-        try:
-            found = json.loads(path.read_text(encoding="utf-8"))
-        except ValueError as error:
-            raise InputError(f"{path} is damaged: choose another --out") from error
-        if found != manifest:
-            differ = sorted(k for k in {*found, *manifest} if found.get(k) != manifest.get(k))
-            raise InputError(f"{out} holds another set ({', '.join(differ)} differ): choose another --out")
-        return
-    if out.is_dir() and any(out.iterdir()):
-        raise InputError(f"output {out} is not empty and holds no set of ours: choose another --out")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        partial = path.with_name(f".{path.name}.partial")
-        partial.write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
-        os.replace(partial, path)
-    except OSError as error:
-        raise InputError(f"output {out}: cannot be written: {error.strerror}") from error
-
-
 def _write_all(static_set: StaticSet, out: Path, indices: list[int], workers: int) -> Iterator[int]:
     if workers <= 1 or len(indices) < 2:
         stream = static_set.stream()
         for index in indices:
             yield _write_one(stream, out, index)
         return
-    with multiprocessing.get_context("spawn").Pool(workers, _start_worker, (static_set, out)) as pool:
-        yield from pool.imap_unordered(_work, indices, chunksize=4)
+    yield from in_processes(_work, indices, workers, _start_worker, (static_set, out))
 
 
 def _write_one(stream: SyntheticStream, out: Path, index: int) -> int:

@@ -15,8 +15,6 @@ import numpy as np
 from twohands.skeleton import LITTLE_MCP, ROOT, WRIST
 from twohands.synth.body import BONE_NAMES, BONES_PER_SIDE, Body, bone
 
-THUMB = 0
-
 
 @dataclass(frozen=True, slots=True)
 class HandAngles:
@@ -27,7 +25,8 @@ class HandAngles:
         wrist_flexion: positive towards the palm.
         wrist_deviation: positive towards the thumb.
         cup: bend of the ring and little metacarpals towards the palm.
-        thumb: (4,) opposition (out of the palm's plane), adduction (along the palm), flexion of the two last joints.
+        thumb: (4,) radial angle of its metacarpal (in the palm's plane, from the hand's axis outwards), palmar angle
+            (out of that plane), then flexion of the two joints beyond.
         fingers: (4, 4) index to little: spread (positive towards the thumb), then flexion of the three joints.
     """
 
@@ -111,6 +110,7 @@ class ArmAnatomy:
 
         self.fingers = [self._finger(hand, finger) for finger in range(1, 5)]
         self.thumb = self._thumb(hand)
+        self.thumb_foot, self.little_mcp = hand[1], hand[LITTLE_MCP]
         self.index = {
             name.split(".")[0]: i - self.first
             for i, name in enumerate(BONE_NAMES)
@@ -135,19 +135,34 @@ class ArmAnatomy:
         spread = unit(cross(b - a, self.thumbwards))
         return axis, spread, rest
 
-    def _thumb(self, hand: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Opposition, adduction, flexion and own axis of the thumb."""
-        metacarpal = unit(hand[2] - hand[1])
-        opposition = unit(cross(metacarpal, self.palmar))
-        adduction = unit(cross(metacarpal, -self.thumbwards))
-        # The thumb's pad faces the little finger's base, half-way between across and into the palm.
+    def _thumb(self, hand: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Orientation of the metacarpal at rest, joint at its end, and flexion axis of the joints beyond."""
+        # The pad faces the little finger's base, half-way between across and into the palm.
         pad = unit(-self.thumbwards + 0.6 * self.palmar)
         distal = unit(hand[4] - hand[2])
         flexion = unit(cross(distal, pad - distal * (pad @ distal)))
-        return opposition, adduction, flexion, metacarpal
+        metacarpal, proximal = hand[2] - hand[1], hand[3] - hand[2]
+        self.thumb_rest = (
+            signed_angle(metacarpal, proximal, flexion),
+            signed_angle(proximal, hand[4] - hand[3], flexion),
+        )
+        return frame(metacarpal, hand[LITTLE_MCP] - hand[2]), metacarpal, flexion
+
+    def _thumb_base(self, radial: float, palmar: float) -> np.ndarray:
+        """(3, 3) rotation of the thumb's metacarpal from rest to the given angles.
+
+        Wherever the metacarpal points, it keeps the roll that lets the thumb bend towards the base of the little
+        finger, as the saddle joint at its foot does.
+        """
+        outward = unit(self.thumbwards - self.hand_axis * (self.thumbwards @ self.hand_axis))
+        direction = np.cos(palmar) * (np.cos(radial) * self.hand_axis + np.sin(radial) * outward)
+        direction = direction + np.sin(palmar) * self.palmar
+        rest_frame, metacarpal, _ = self.thumb
+        tip = self.thumb_foot + direction * np.sqrt(metacarpal @ metacarpal)
+        return frame(direction, self.little_mcp - tip) @ rest_frame.T
 
     def hand_rotations(self, angles: HandAngles) -> np.ndarray:
-        """(24, 3, 3) rotations of this arm's bones for the hand and forearm; the elbow and shoulder stay at rest."""
+        """(24, 3, 3) rotations of this arm's bones for the hand and forearm; elbow and shoulder stay at rest."""
         out = np.tile(np.eye(3), (BONES_PER_SIDE, 1, 1))
         twist = angles.pronation - self.pronation_rest
         # The skin of the forearm turns gradually: a third at mid-forearm, more at the wrist, as radius crosses ulna.
@@ -158,14 +173,10 @@ class ArmAnatomy:
         out[self.index["metacarpal3"]] = rotation_about(self.flexion_axis, 0.4 * angles.cup)
         out[self.index["metacarpal4"]] = rotation_about(self.flexion_axis, angles.cup)
 
-        opposition, adduction, flexion, own = self.thumb
-        mirror = 1.0 if self.side == 0 else -1.0
-        # Opposition rolls the thumb about itself, so that its pad comes to face the fingertips.
-        roll = rotation_about(own, -0.6 * angles.thumb[0] * mirror)
-        base = rotation_about(adduction, angles.thumb[1]) @ rotation_about(opposition, angles.thumb[0]) @ roll
-        out[self.index["finger1-1"]] = base
-        out[self.index["finger1-2"]] = rotation_about(flexion, angles.thumb[2])
-        out[self.index["finger1-3"]] = rotation_about(flexion, angles.thumb[3])
+        out[self.index["finger1-1"]] = self._thumb_base(angles.thumb[0], angles.thumb[1])
+        flexion = self.thumb[2]
+        out[self.index["finger1-2"]] = rotation_about(flexion, angles.thumb[2] - self.thumb_rest[0])
+        out[self.index["finger1-3"]] = rotation_about(flexion, angles.thumb[3] - self.thumb_rest[1])
 
         for finger, (axis, spread, rest) in enumerate(self.fingers):
             a = angles.fingers[finger]

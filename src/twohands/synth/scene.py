@@ -11,9 +11,9 @@ from twohands.errors import InputError
 from twohands.geometry.camera import project
 from twohands.skeleton import LEFT, RIGHT, ROOT
 from twohands.synth.body import BONES_PER_SIDE, Body, forward_kinematics, load_asset, posed_joints
-from twohands.synth.collision import hands_collide
+from twohands.synth.collision import hand_enters_itself, hands_collide
 from twohands.synth.config import SynthConfig
-from twohands.synth.pose import ArmAnatomy, HandAngles
+from twohands.synth.pose import ArmAnatomy, HandAngles, unit
 from twohands.types import PinholeCamera
 
 MAX_TRIES = 2000
@@ -69,7 +69,7 @@ class SceneSpec:
         scale: factor from the body's metres to the scene's (`SynthConfig.hand_length`).
         joints_m: (2, 22, 3) camera frame, scaled metres; NaN for an absent hand.
         present: (2,) bool.
-        skin: one `Skin` per side, the same person's.
+        skin: the person's.
         lighting: lights.
         index: number of the instance.
     """
@@ -133,9 +133,12 @@ def sample_angles(rng: np.random.Generator) -> HandAngles:
     # A bent knuckle cannot spread: its side ligaments are tight.
     room = np.cos(np.clip(mcp, 0, deg(80))) ** 2
     spread = (deg([10.0, 2.0, -6.0, -14.0]) * openness + deg(rng.normal(0, 3, 4))) * room
-    thumb = deg(
-        [rng.uniform(-8, 42), rng.uniform(-22, 18), rng.uniform(-5, 48), rng.uniform(-15, 65)],
-    )
+    # Spread of the thumb as measured on people: beside the index, spread out, or opposed to the other fingers.
+    if rng.random() < 0.25:
+        radial, palmar = rng.uniform(2, 22), rng.uniform(-4, 14)
+    else:
+        radial, palmar = np.clip(rng.normal(29, 13), -2, 56), np.clip(rng.normal(27, 14), -4, 54)
+    thumb = deg([radial, palmar, rng.uniform(0, 50), rng.uniform(-12, 65)])
     return HandAngles(
         pronation=deg(rng.uniform(-75, 75)),
         wrist_flexion=deg(np.clip(rng.normal(-5, 28), -60, 60)),
@@ -243,7 +246,7 @@ def sample_scene(config: SynthConfig, seed: int, index: int) -> SceneSpec:
             continue
         transforms = forward_kinematics(body, rotations)
         joints = posed_joints(body, transforms)
-        if not hands_collide(body, transforms, joints, present):
+        if not (present.all() and hands_collide(body, joints)):
             break
     else:
         raise InputError(f"no pose fits the hand box {config.box_min} to {config.box_max}: enlarge or move it")
@@ -271,7 +274,8 @@ def _pose_arm(
     rotations: np.ndarray,
     rng: np.random.Generator,
 ) -> bool:
-    """Draws one arm into `rotations` (48, 3, 3); tells whether it reaches the box and stays in the picture."""
+    """Draws one arm into `rotations` (48, 3, 3); tells whether one was found that reaches the box, stays in the
+    picture and out of itself."""
     low, high = np.array(config.box_min), np.array(config.box_max)
     if anatomy.side == RIGHT:
         low[0], high[0] = -config.box_max[0], -config.box_min[0]
@@ -280,17 +284,13 @@ def _pose_arm(
         target = rng.uniform(low, high)
         hand = anatomy.hand_rotations(sample_angles(rng))
         # The box is for the root joint but the arm solver places the wrist, about a hand length nearer the elbow.
-        wrist = target - unit_from(anatomy.shoulder, target) * 0.09
+        wrist = target - unit(target - anatomy.shoulder) * 0.09
         if not anatomy.reach(hand, wrist, np.radians(rng.uniform(-10, 75))):
             continue
         rotations[arm] = hand
-        joints = posed_joints(body, forward_kinematics(body, rotations))[anatomy.side, 1:]
-        root = joints[ROOT]
-        if (root > low).all() and (root < high).all() and inside_image(joints, camera, config.image_margin):
+        joints = posed_joints(body, forward_kinematics(body, rotations))[anatomy.side]
+        root = joints[1 + ROOT]
+        in_box = (root > low).all() and (root < high).all()
+        if in_box and inside_image(joints[1:], camera, config.image_margin) and not hand_enters_itself(body, joints):
             return True
     return False
-
-
-def unit_from(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Unit vector from `a` to `b`."""
-    return (b - a) / np.linalg.norm(b - a)
