@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from twohands.inference.camera_files import read_camera
     from twohands.inference.estimator import HandEstimator, StageTruth
     from twohands.inference.sources import read_image
+    from twohands.inference.tracker import HandTracker
     from twohands.types import HandPose, PinholeCamera, TwoHandPose
     from twohands.visualization.overlay import draw_overlay
     from twohands.visualization.views import draw_views
@@ -29,6 +30,7 @@ __version__ = "0.1.0"
 _HOME = {
     "HandEstimator": "twohands.inference.estimator",
     "HandPose": "twohands.types",
+    "HandTracker": "twohands.inference.tracker",
     "PinholeCamera": "twohands.types",
     "StageTruth": "twohands.inference.estimator",
     "TwoHandPose": "twohands.types",
@@ -42,6 +44,7 @@ _HOME = {
 __all__ = [
     "HandEstimator",
     "HandPose",
+    "HandTracker",
     "PinholeCamera",
     "StageTruth",
     "TwoHandPose",

@@ -1,8 +1,11 @@
 """Rendered labels against the geometry they come from."""
 
+import dataclasses
+
 import cv2
 import numpy as np
 import pytest
+from tests.synth.reference_raster import reference_planes
 
 from twohands import skeleton
 from twohands.geometry.camera import project
@@ -60,6 +63,19 @@ def test_vertices_project_onto_the_mask_at_their_depth(rendered):
         assert np.percentile(gap, 0.5) > -0.006
         on_surface.append((np.abs(gap) < 0.004).mean())
     assert np.mean(on_surface) > 0.2
+
+
+def test_masks_and_depth_are_exact_at_pixel_centres(rendered):
+    """Named case: a shift of half a pixel once passed every other test."""
+    scene, frame = rendered[1]
+    mask, depth = reference_planes(scene)
+    found = frame.part_labels > 0
+    assert (mask != found).sum() <= 3
+    both = mask & found
+    assert both.sum() > 3000
+    assert np.percentile(np.abs(depth[both] - frame.depth_m[both]), 99.5) < 1e-5
+    shifted = dataclasses.replace(scene.camera, cx=scene.camera.cx + 0.5)
+    assert (reference_planes(dataclasses.replace(scene, camera=shifted))[0] != found).sum() > 50
 
 
 def test_joints_lie_behind_their_own_part(rendered):
