@@ -94,14 +94,14 @@ def test_the_opening_shrinks_with_the_map():
     np.testing.assert_array_equal(energy_box(quarter), [75, 1, 76, 2])
 
 
-def test_presence_is_decided_at_one_half():
+def test_presence_is_decided_at_the_threshold():
     energies = np.zeros((2, 100, 512))
     energies[0, 20:60, 100:150] = PRESENCE_THRESHOLD
     energies[1, 20:60, 300:350] = PRESENCE_THRESHOLD - 1e-3
     found = boxes_from_energy(energies, (100, 512))
     assert found.present.tolist() == [True, False]
     assert np.isnan(found.boxes_px[1]).all()
-    np.testing.assert_allclose(found.scores, [0.5, 0.499])
+    np.testing.assert_allclose(found.scores, [PRESENCE_THRESHOLD, PRESENCE_THRESHOLD - 1e-3])
 
 
 def test_boxes_come_in_pixels_of_the_picture():

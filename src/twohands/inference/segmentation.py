@@ -10,10 +10,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-PRESENCE_THRESHOLD = 0.5
-"""A hand is absent where its energy peaks below this: half way between the target peaks 0 and 1.
+PRESENCE_THRESHOLD = 0.35
+"""A hand is absent where its energy peaks below this.
 
-The paper says "very low activation" and gives no value (SPEC 2).
+The paper says "very low activation" and gives no value (SPEC 2). Half way between the target peaks 0 and 1 misses more
+hands than it invents: of 800 held-out ones 20 and 4, against 7 and 6 here.
 """
 OPENING_SIZE = 5
 """Side of the opening's kernel on a map of REFERENCE_WIDTH; smaller maps take a smaller kernel."""
