@@ -18,7 +18,9 @@ demo: environment-view
 
 test: environment
 	@bash scripts/system-packages.sh
-	OMP_NUM_THREADS=1 $(BIN)/pytest --numprocesses auto --maxprocesses 4
+	OMP_NUM_THREADS=1 $(BIN)/pytest --numprocesses auto --maxprocesses 4 --ignore tests/training
+# The trainer's loader forks, which a process that has held an OpenGL context does not survive: a run of its own.
+	OMP_NUM_THREADS=1 $(BIN)/pytest --numprocesses auto --maxprocesses 4 tests/training
 
 lint: environment
 	$(BIN)/ruff check .

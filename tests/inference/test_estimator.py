@@ -124,7 +124,7 @@ def test_true_presence_overrules_a_low_energy_but_the_box_is_still_estimated():
 
     def faint(batch):
         seg_logits, energy_logits = oracle.hand_seg_net(batch)
-        energy = 0.4 / (1 + np.exp(-energy_logits))
+        energy = 0.3 / (1 + np.exp(-energy_logits))
         return seg_logits, np.log(energy / (1 - energy))
 
     networks = dataclasses.replace(oracle.estimator.networks, hand_seg_net=faint)
