@@ -12,7 +12,7 @@ from tests.training.tiny import NETWORKS
 from twohands.errors import CheckpointError, InputError
 from twohands.export import onnx
 from twohands.inference.weights import read_card
-from twohands.models.checkpoint import save_network
+from twohands.models.checkpoint import load_network, network_name, read_note, save_network
 from twohands.models.pose_net_2d import PoseNet2D, PoseNet2DConfig
 from twohands.models.presets import build_network
 
@@ -85,6 +85,25 @@ def test_openvino_equals_torch_for_any_batch_size(name, preset, networks):
             assert np.abs(found - wanted).max() < 1e-2 * scale
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_training_can_go_on_from_an_exported_network(name, preset, networks):
+    path = preset[0] / f"{name}.onnx"
+    assert network_name(path) == name
+    assert read_note(path) == NOTES.get(name, {"seed": 4})
+    loaded = load_network(name, path)
+    assert loaded.config == networks[name].config
+    for key, wanted in networks[name].state_dict().items():
+        if not key.endswith("num_batches_tracked"):
+            torch.testing.assert_close(loaded.state_dict()[key], wanted, rtol=5e-4, atol=1e-6)
+
+
+def test_damaged_onnx_files_are_no_checkpoints(preset, tmp_path):
+    path = tmp_path / "pose_net_3d.onnx"
+    path.write_bytes((preset[0] / "pose_net_3d.onnx").read_bytes()[:5000])
+    with pytest.raises(CheckpointError, match=r"pose_net_3d\.onnx"):
+        load_network("pose_net_3d", path)
+
+
 def test_halved_weights_are_half_the_size_and_the_same_to_half_precision():
     rng = np.random.default_rng(0)
     weight = rng.normal(size=(64, 64)).astype(np.float32)
@@ -142,7 +161,7 @@ def test_linear_maps_are_read_by_sub_pixel(checkpoints, tmp_path, monkeypatch):
     config = PoseNet2DConfig("encoder-decoder", crop_size=128, stages=1, width=0.1, activation="linear")
     linear = tmp_path / "linear.safetensors"
     save_network("pose_net_2d", PoseNet2D(config), linear, note={"crop": {"kind": "square", "margin": 1.5}})
-    monkeypatch.setattr(onnx, "export_network", lambda network, path: None)  # only the card matters here
+    monkeypatch.setattr(onnx, "export_network", lambda *_: None)  # only the card matters here
     card = onnx.export_preset({**checkpoints, "pose_net_2d": linear}, tmp_path / "mini", name="mini")
     assert card["pose_net_2d"]["heatmap_decode"] == "subpixel"
     assert card["pose_net_2d"]["crop_kind"] == "square"

@@ -9,6 +9,7 @@ from torch import nn
 
 from twohands.errors import InputError
 from twohands.models.blocks import count_blocks
+from twohands.models.encoder_decoder import EncoderDecoder
 from twohands.models.hand_seg_net import HandSegNet, HandSegNetConfig
 from twohands.models.pose_net_2d import PoseNet2D, PoseNet2DConfig
 from twohands.models.pose_net_3d import PoseNet3D, PoseNet3DConfig
@@ -25,22 +26,21 @@ def parameters(module: nn.Module) -> int:
 
 def test_hand_seg_net_has_16_residual_blocks_in_4_down_and_4_up_layers():
     net = HandSegNet(TINY_SEG)
-    assert [count_blocks(layer) for layer in net.down] == [2, 2, 2, 2]
-    assert [count_blocks(layer) for layer in net.up] == [2, 2, 2, 2]
+    assert [count_blocks(layer) for layer in net.net.down] == [2, 2, 2, 2]
+    assert [count_blocks(layer) for layer in net.net.up] == [2, 2, 2, 2]
     assert count_blocks(net) == 16
 
 
-@pytest.mark.parametrize("skips", [False, True])
-@pytest.mark.parametrize("output_stride", [1, 2])
-def test_hand_seg_net_answers_at_input_size(skips: bool, output_stride: int):
-    net = HandSegNet(dataclasses.replace(TINY_SEG, skips=skips, output_stride=output_stride))
+@pytest.mark.parametrize("variant", ["auto-encoder", "encoder-decoder"])
+def test_hand_seg_net_answers_at_input_size(variant: str):
+    net = HandSegNet(dataclasses.replace(TINY_SEG, variant=variant))
     segmentation, energy = net(torch.zeros(2, 3, 64, 96))
     assert segmentation.shape == (2, 3, 64, 96)
     assert energy.shape == (2, 2, 64, 96)
 
 
 def test_hand_seg_net_bottom_is_a_32nd_of_the_input():
-    net = HandSegNet(TINY_SEG).eval()
+    net = HandSegNet(TINY_SEG).eval().net
     x = net.pool(net.stem(torch.zeros(1, 3, 64, 96)))
     sizes = []
     for layer in net.down:
@@ -49,13 +49,15 @@ def test_hand_seg_net_bottom_is_a_32nd_of_the_input():
     assert sizes == [(16, 24), (8, 12), (4, 6), (2, 3)]
 
 
-def test_skips_carry_detail_past_the_bottom():
+@pytest.mark.parametrize(("finest", "rows"), [(4, 16), (2, 32)])
+def test_the_encoder_decoder_carries_detail_past_its_bottom(finest: int, rows: int):
     torch.manual_seed(0)
-    with_skips = HandSegNet(dataclasses.replace(TINY_SEG, skips=True)).eval()
-    for layer in with_skips.down[-1].parameters():  # cut the path through the bottom
-        layer.data.zero_()
+    net = EncoderDecoder(5, 0.25, finest).eval()
+    for parameter in net.down[-1].parameters():  # cut the path through the bottom
+        parameter.data.zero_()
     a, b = torch.randn(2, 1, 3, 64, 96)
-    assert not torch.allclose(with_skips(a)[0], with_skips(b)[0])
+    assert net(a).shape == (1, 5, rows, rows * 3 // 2)
+    assert not torch.allclose(net(a), net(b))
 
 
 def test_pose_net_3d_has_8_residual_blocks_and_2_fully_connected_layers_before_the_output():
@@ -155,7 +157,7 @@ def test_the_presets_can_be_built():
     [
         (HandSegNetConfig, {"height": 270}, "270"),
         (HandSegNetConfig, {"width": -1.0}, "-1.0"),
-        (HandSegNetConfig, {"output_stride": 4}, "4"),
+        (HandSegNetConfig, {"variant": "u-net"}, "u-net"),
         (PoseNet2DConfig, {"variant": "cpm7"}, "cpm7"),
         (PoseNet2DConfig, {"crop_size": 128}, "128"),
         (PoseNet2DConfig, {"variant": "encoder-decoder", "crop_size": 128, "stages": 2}, "2"),

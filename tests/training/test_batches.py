@@ -1,15 +1,26 @@
 """Batches are a pure function of (source, config, step)."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from tests.builders import make_sample, make_samples
-from tests.training.tiny import tiny_run
+from tests.training.tiny import NETWORKS, tiny_run
 
+from twohands.datasets.targets import Segmentation, crop_matrix
 from twohands.errors import InputError
-from twohands.training.batches import BatchDataset, IndexRange, batch_loader, validation_batches
+from twohands.models.checkpoint import save_network
+from twohands.models.presets import build_network
+from twohands.training.batches import (
+    BatchDataset,
+    IndexRange,
+    Segmenter,
+    batch_loader,
+    pose_batch,
+    validation_batches,
+)
 from twohands.training.sources import split
 
 SAMPLES = make_samples(5)
@@ -60,6 +71,66 @@ def test_every_usable_hand_is_a_crop():
     none = make_sample(np.random.default_rng(0), present=(False, False))
     assert BatchDataset([one, one], config)[0]["side"].tolist() == [1, 1]
     assert BatchDataset([none, none], config)[0] == {}
+
+
+@pytest.fixture(scope="module")
+def segmented_run(tmp_path_factory):
+    """A run whose crops come from a HandSegNet (untrained) at every opportunity."""
+    checkpoint = tmp_path_factory.mktemp("segmentation") / "hand_seg_net.safetensors"
+    torch.manual_seed(0)
+    network = build_network("hand_seg_net", NETWORKS.hand_seg_net)
+    network.net.head[-1].bias.data += 2.0  # finds something everywhere
+    save_network("hand_seg_net", network, checkpoint)
+    config = tiny_run("pose_net_2d")
+    return dataclasses.replace(
+        config,
+        data=dataclasses.replace(config.data, segmentation=str(checkpoint)),
+        augment=dataclasses.replace(config.augment, predicted=1.0),
+    )
+
+
+def test_crops_follow_the_predicted_boxes_and_masks(segmented_run):
+    sample = SAMPLES[0]
+    segmenter = Segmenter(Path(segmented_run.data.segmentation))
+    (found,) = segmenter([sample.image])
+    assert np.isfinite(found.boxes_px).all() and found.classes.shape == sample.image.shape[:2]
+    batch = pose_batch([sample], segmented_run, (), segmenter)
+    size = segmented_run.networks.pose_net_2d.crop_size
+    for i, side in enumerate(batch["side"].tolist()):
+        expected = crop_matrix(found.boxes_px[side], sample.camera, side, size, segmented_run.crop)
+        np.testing.assert_allclose(batch["image_from_crop"][i], expected, rtol=1e-5)
+    assert not torch.equal(batch["image"], pose_batch([sample], segmented_run, ())["image"])
+
+
+def test_the_share_of_predicted_crops_is_as_asked(segmented_run):
+    segmenter = Segmenter(Path(segmented_run.data.segmentation))
+    asked = []
+
+    def count(images):
+        asked.extend(images)
+        return segmenter(images)
+
+    half = dataclasses.replace(segmented_run, augment=dataclasses.replace(segmented_run.augment, predicted=0.5))
+    pose_batch(SAMPLES[:1] * 200, half, [np.random.default_rng(i) for i in range(200)], count)
+    assert 70 < len(asked) < 130
+    asked.clear()
+    pose_batch(SAMPLES[:1] * 3, half, (), count)  # validation: all of them
+    assert len(asked) == 3
+
+
+def test_a_hand_that_was_missed_keeps_its_true_crop(segmented_run):
+    def blind(images):
+        return [Segmentation(np.zeros(image.shape[:2], np.uint8), np.full((2, 4), np.nan)) for image in images]
+
+    assert equal(pose_batch(SAMPLES, segmented_run, (), blind), pose_batch(SAMPLES, segmented_run, ()))
+
+
+def test_workers_load_the_segmentation_themselves(segmented_run):
+    config = dataclasses.replace(segmented_run, iterations=2)
+    alone = list(batch_loader(BatchDataset(SAMPLES, config), 0))
+    config = dataclasses.replace(config, data=dataclasses.replace(config.data, workers=1))
+    helped = list(batch_loader(BatchDataset(SAMPLES, config), 0))
+    assert all(equal(a, b) for a, b in zip(alone, helped, strict=True))
 
 
 def test_validation_is_plain_and_whole():

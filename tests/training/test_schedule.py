@@ -85,7 +85,7 @@ def test_overrides():
     changed = with_override(config, "optim.learning_rate=5e-4")
     assert changed.optim.learning_rate == 5e-4
     assert dataclasses.replace(changed, optim=config.optim) == config
-    assert with_override(config, "networks.hand_seg_net.skips=false").networks.hand_seg_net.skips is False
+    assert with_override(config, "loss.z_heatmaps=false").loss.z_heatmaps is False
     assert with_override(config, "precision=32-true").precision == "32-true"
 
 
@@ -96,7 +96,7 @@ def test_overrides():
         ("optim=1", "group of settings"),
         ("iterations", "NAME=VALUE"),
         ("iterations=many", "needs a value of type int, got 'many'"),
-        ("networks.hand_seg_net.skips=perhaps", "type bool"),
+        ("loss.z_heatmaps=perhaps", "type bool"),
         ("networks.hand_seg_net.height=100", "multiple of 32, got 100"),
         ("optim.optimizer=lion", "lion"),
         ("precision=16", "16"),

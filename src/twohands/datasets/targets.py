@@ -82,6 +82,19 @@ class SegmentationTarget:
 
 
 @dataclass(frozen=True, slots=True)
+class Segmentation:
+    """What HandSegNet answered for one picture.
+
+    Attributes:
+        classes: (H, W) uint8, 0 background, 1 left, 2 right.
+        boxes_px: (2, 4) u0, v0, u1, v1 in pixels of the picture; NaN for a hand that was not found.
+    """
+
+    classes: np.ndarray
+    boxes_px: np.ndarray
+
+
+@dataclass(frozen=True, slots=True)
 class PoseTarget:
     """One training example of PoseNet2D and PoseNet3D: a left-like hand.
 
@@ -225,6 +238,7 @@ def pose_target(
     *,
     photometric: PhotometricConfig | None = None,
     masks: MaskConfig | None = None,
+    predicted: Segmentation | None = None,
     rng: np.random.Generator | None = None,
 ) -> PoseTarget | None:
     """What PoseNet2D and PoseNet3D see and should answer for one hand.
@@ -237,6 +251,8 @@ def pose_target(
         size: crop side in pixels.
         crop: kind of crop, jitter, and which hands to leave out.
         photometric, masks: training changes, used only with `rng`.
+        predicted: HandSegNet's masks and boxes, to be used instead of the true ones: as they are, without `masks` and
+            without the jitter of `crop`. A hand that it missed keeps the true ones.
         rng: source of randomness; None gives the plain, centred crop.
 
     Returns:
@@ -253,7 +269,11 @@ def pose_target(
     if int((known & _inside(joints_px, width, height)).sum()) < crop.min_joints:
         return None
 
-    image_from_crop = crop_matrix(box, sample.camera, side, size, crop, rng)
+    if predicted is not None and np.isfinite(predicted.boxes_px[side]).all():
+        image_from_crop = crop_matrix(predicted.boxes_px[side], sample.camera, side, size, crop)
+    else:
+        predicted = None
+        image_from_crop = crop_matrix(box, sample.camera, side, size, crop, rng)
     crop_joints = np.asarray(apply_homography(np.linalg.inv(image_from_crop), joints_px))
     inside = known & _inside(crop_joints, size, size)
     image = warp_image(sample.image, image_from_crop, size, interpolation="linear")
@@ -264,7 +284,9 @@ def pose_target(
         classes = hand_classes(labels)
         if (classes == side + 1).mean() < crop.min_visible:
             return None
-        if rng is not None and masks is not None:
+        if predicted is not None:
+            classes = warp_image(predicted.classes, image_from_crop, size, interpolation="nearest")
+        elif rng is not None and masks is not None:
             classes = spoil_masks(classes, labels == 1 + 7 * side, side, masks, rng)
     if rng is not None and photometric is not None:
         image = jitter_colours(image, photometric, rng)

@@ -92,13 +92,13 @@ def jitter_colours(image: np.ndarray, config: PhotometricConfig, rng: np.random.
 
     if config.texture and rng.random() < 0.5:
         field = _noise_field(out.shape[:2], rng) * rng.uniform(0, config.texture)
-        out = np.clip(out * (1 + field[..., None]), 0, 255).astype(np.uint8)
+        out = cv2.multiply(out, cv2.merge([1 + field] * 3), dtype=cv2.CV_8U)  # saturates
     if config.blur and rng.random() < 0.5:
         out = cv2.GaussianBlur(out, (0, 0), rng.uniform(0.2, 0.2 + config.blur))
-    if config.noise:
+    if config.noise and rng.random() < 0.5:
         sigma = rng.uniform(0, config.noise) * 255
         noise = rng.standard_normal(out.shape, dtype=np.float32) * np.float32(sigma)
-        out = np.clip(out + noise, 0, 255).astype(np.uint8)
+        out = cv2.add(out, noise, dtype=cv2.CV_8U)  # saturates
     return out
 
 

@@ -15,11 +15,12 @@ from typing import Any
 import numpy as np
 import onnx
 import onnx.numpy_helper
+import onnxscript.optimizer
 import torch
 from torch import Tensor, nn
 
 from twohands.errors import CheckpointError, InputError
-from twohands.models.checkpoint import load_network, read_note
+from twohands.models.checkpoint import HALF, describe, load_network, read_note
 from twohands.models.hand_seg_net import HandSegNet
 from twohands.models.pose_net_2d import MAP_SIZE, PoseNet2D
 from twohands.models.pose_net_3d import PoseNet3D
@@ -43,26 +44,30 @@ class HeatmapNet(nn.Module):
         return self.net.heatmaps(self.net(x))
 
 
-def export_network(network: nn.Module, path: str | Path) -> None:
+def export_network(network: nn.Module, path: str | Path, note: Mapping[str, Any] | None = None) -> None:
     """Write one network as ONNX with float32 arithmetic, float16 storage and a free batch size, atomically.
+
+    Batch normalisation stays in the graph (runtimes fold it when they load it) and weights keep their names, so that
+    `models.checkpoint.load_network` reads the file too and training can go on from it.
 
     Args:
         network: HandSegNet (outputs seg_logits, energy_logits), PoseNet2D (output heatmaps, as PoseNet3D consumes them)
             or PoseNet3D (output canonical). Inputs are normalised, NCHW.
         path: destination.
+        note: as for `models.checkpoint.save_network`.
 
     Raises:
         InputError: another kind of network.
     """
     if isinstance(network, HandSegNet):
         shape = (2, 3, network.config.height, network.config.width_px)
-        model, inputs, outputs = network, "image", ["seg_logits", "energy_logits"]
+        name, model, inputs, outputs = "hand_seg_net", network, "image", ["seg_logits", "energy_logits"]
     elif isinstance(network, PoseNet2D):
         shape = (2, 3, network.config.crop_size, network.config.crop_size)
-        model, inputs, outputs = HeatmapNet(network), "crop", ["heatmaps"]
+        name, model, inputs, outputs = "pose_net_2d", HeatmapNet(network), "crop", ["heatmaps"]
     elif isinstance(network, PoseNet3D):
         shape = (2, N_JOINTS, MAP_SIZE, MAP_SIZE)
-        model, inputs, outputs = network, "heatmaps", ["canonical"]
+        name, model, inputs, outputs = "pose_net_3d", network, "heatmaps", ["canonical"]
     else:
         raise InputError(f"cannot export a {type(network).__name__}")
     path = Path(path)
@@ -73,20 +78,26 @@ def export_network(network: nn.Module, path: str | Path) -> None:
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        torch.onnx.export(
+        program = torch.onnx.export(
             model,
             (torch.zeros(shape),),
-            str(partial),
             dynamo=True,
             opset_version=OPSET,
             input_names=[inputs],
             output_names=outputs,
             dynamic_shapes=({0: torch.export.Dim("batch", min=1, max=4096)},),
-            external_data=False,
+            optimize=False,  # it would fold batch normalisation
             verbose=False,
         )
     network.train(was_training)
-    onnx.save(halve_weights(onnx.load(str(partial))), str(partial))
+    assert program is not None
+    onnxscript.optimizer.fold_constants(program.model)
+    onnxscript.optimizer.remove_unused_nodes(program.model)
+    result = halve_weights(program.model_proto)
+    prefix = "net." if isinstance(model, HeatmapNet) else ""
+    for key, value in {**describe(name, network, note), "prefix": prefix}.items():
+        result.metadata_props.add(key=key, value=value)
+    onnx.save(result, str(partial))
     os.replace(partial, path)
 
 
@@ -110,8 +121,8 @@ def halve_weights(model: onnx.ModelProto) -> onnx.ModelProto:
         name, values = tensor.name, onnx.numpy_helper.to_array(tensor)
         if np.abs(values).max() > np.finfo(np.float16).max:
             continue
-        tensor.CopyFrom(onnx.numpy_helper.from_array(values.astype(np.float16), f"{name}_half"))
-        casts.append(onnx.helper.make_node("Cast", [f"{name}_half"], [name], to=onnx.TensorProto.FLOAT))
+        tensor.CopyFrom(onnx.numpy_helper.from_array(values.astype(np.float16), name + HALF))
+        casts.append(onnx.helper.make_node("Cast", [name + HALF], [name], to=onnx.TensorProto.FLOAT))
     nodes = list(result.graph.node)
     del result.graph.node[:]
     result.graph.node.extend([*casts, *nodes])
@@ -160,7 +171,7 @@ def export_preset(
     }
     folder.mkdir(parents=True, exist_ok=True)
     for key, network in networks.items():
-        export_network(network, folder / f"{key}.onnx")
+        export_network(network, folder / f"{key}.onnx", notes[key])
     partial = folder / "card.json.partial"
     partial.write_text(json.dumps(card, indent=2) + "\n", encoding="utf-8")
     os.replace(partial, folder / "card.json")

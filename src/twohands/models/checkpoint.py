@@ -1,4 +1,8 @@
-"""Weights of one network in one safetensors file, with what is needed to build the network again. No pickle."""
+"""Weights of one network in one file, with what is needed to build the network again. No pickle.
+
+The trainer writes safetensors; the ONNX files of a preset hold the same weights (in half precision) and the same
+metadata, so that training can go on from shipped weights.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +22,8 @@ from twohands.errors import CheckpointError, InputError
 from twohands.models.presets import NETWORKS, build_network, config_from_dict
 
 FORMAT = "twohands-checkpoint-1"
+HALF = "_half"
+"""Ending of the name of a weight that an ONNX file stores in half precision."""
 
 
 def save_tensors(tensors: Mapping[str, Tensor], metadata: Mapping[str, str], path: str | Path) -> None:
@@ -68,13 +74,43 @@ def save_network(name: str, network: nn.Module, path: str | Path, *, note: Mappi
     """
     if name not in NETWORKS or type(network) is not NETWORKS[name].network:
         raise CheckpointError(f"cannot save a {type(network).__name__} as '{name}'")
-    metadata = {
+    save_tensors(network.state_dict(), describe(name, network, note), path)
+
+
+def describe(name: str, network: nn.Module, note: Mapping[str, Any] | None = None) -> dict[str, str]:
+    """The metadata of a file that holds this network."""
+    return {
         "format": FORMAT,
         "network": name,
         "config": json.dumps(dataclasses.asdict(network.config)),  # type: ignore[arg-type]
         "note": json.dumps(dict(note or {})),
     }
-    save_tensors(network.state_dict(), metadata, path)
+
+
+def _load_onnx(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
+    """Weights and metadata of a file written by `export.onnx.export_network`."""
+    import onnx
+    import onnx.numpy_helper
+    from google.protobuf.message import DecodeError
+
+    try:
+        model = onnx.load(str(path))
+    except (DecodeError, OSError) as error:
+        raise CheckpointError(f"{path} is no readable ONNX file: {error}") from error
+    metadata = {entry.key: entry.value for entry in model.metadata_props}
+    prefix = metadata.get("prefix", "")
+    tensors = {}
+    for entry in model.graph.initializer:
+        name = entry.name.removesuffix(HALF)
+        if name.startswith(prefix):
+            values = onnx.numpy_helper.to_array(entry)
+            tensors[name.removeprefix(prefix)] = torch.from_numpy(values.copy())
+    return tensors, metadata
+
+
+def _load(path: str | Path) -> tuple[dict[str, Tensor], dict[str, str]]:
+    path = Path(path)
+    return _load_onnx(path) if path.suffix == ".onnx" and path.is_file() else load_tensors(path)
 
 
 def load_network(name: str, path: str | Path) -> nn.Module:
@@ -82,7 +118,7 @@ def load_network(name: str, path: str | Path) -> nn.Module:
 
     Args:
         name: the network that is expected.
-        path: a file written by `save_network`.
+        path: a file written by `save_network`, or the ONNX file of a preset.
 
     Returns:
         The network, in evaluation mode.
@@ -90,7 +126,7 @@ def load_network(name: str, path: str | Path) -> nn.Module:
     Raises:
         CheckpointError: missing, damaged, of another network, or its tensors do not fit its configuration.
     """
-    tensors, metadata = load_tensors(path)
+    tensors, metadata = _load(path)
     found = metadata.get("network")
     if metadata.get("format") != FORMAT:
         raise CheckpointError(f"{path} is not a twohands checkpoint (format {metadata.get('format')!r})")
@@ -98,11 +134,21 @@ def load_network(name: str, path: str | Path) -> nn.Module:
         raise CheckpointError(f"{path} holds weights of '{found}', but '{name}' was asked for")
     try:
         network = build_network(name, config_from_dict(name, json.loads(metadata["config"])))
+        if Path(path).suffix == ".onnx":
+            wanted = network.state_dict()
+            counters = {key: value for key, value in wanted.items() if _is_counter(key)}
+            weights = {key: tensors[key].to(value.dtype) for key, value in wanted.items() if key not in counters}
+            tensors = weights | counters
         network.load_state_dict(tensors)
     except (KeyError, ValueError, InputError, RuntimeError) as error:
         message = str(error).splitlines()[0]
         raise CheckpointError(f"{path}: weights and configuration of '{name}' do not fit: {message}") from error
     return network.eval()
+
+
+def _is_counter(key: str) -> bool:
+    """Whether a buffer only counts batches: batch normalisation keeps one that ONNX has no place for."""
+    return key.endswith("num_batches_tracked")
 
 
 def network_name(path: str | Path) -> str | None:
@@ -111,12 +157,12 @@ def network_name(path: str | Path) -> str | None:
     Raises:
         CheckpointError: the file is missing or damaged.
     """
-    return load_tensors(path)[1].get("network")
+    return _load(path)[1].get("network")
 
 
 def read_note(path: str | Path) -> dict[str, Any]:
     """The JSON values stored beside the weights by `save_network`."""
-    return json.loads(load_tensors(path)[1].get("note", "{}"))
+    return json.loads(_load(path)[1].get("note", "{}"))
 
 
 def same_weights(a: nn.Module, b: nn.Module) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +11,8 @@ import torch
 from torch import Tensor, nn
 
 from twohands.errors import InputError
-from twohands.models.blocks import BasicBlock, calm_output, conv_bn_relu, initialise, scaled
+from twohands.models.blocks import calm_output, conv_bn_relu, initialise, scaled
+from twohands.models.encoder_decoder import EncoderDecoder
 from twohands.skeleton import N_JOINTS
 
 MAP_SIZE = 32
@@ -25,7 +25,7 @@ class PoseNet2DConfig:
 
     variant: Literal["cpm9", "vgg", "encoder-decoder"] = "cpm9"
     """cpm9: convolutional pose machine with 9x9 convolutions (the paper's); vgg: pose machine on 3x3 convolutions;
-    encoder-decoder: slim residual U-shape (ours)."""
+    encoder-decoder: slim residual U-shape (ours), see `models.encoder_decoder`."""
     crop_size: int = 256
     """Rows and columns of the input crop, 256 for the pose machines, 128 for the encoder-decoder."""
     stages: int = 6
@@ -116,46 +116,14 @@ class PoseMachine(nn.Module):
         return outputs
 
 
-class EncoderDecoder(nn.Module):
-    """Residual encoder from 32x32 down to 4x4 and decoder back, joined by skips. Ours; the paper has no such network.
-
-    It sees the whole hand at its bottom, so it needs one stage where the pose machine needs several (DESIGN 8).
-    """
-
-    def __init__(self, config: PoseNet2DConfig) -> None:
-        super().__init__()
-        c0, c1, c2, c3, c4 = (scaled(c, config.width) for c in (32, 64, 128, 192, 256))
-        self.stem = nn.Sequential(conv_bn_relu(3, c0, 5, stride=2), conv_bn_relu(c0, c1, 3, stride=2))
-        sizes = (c1, c2, c3, c4)  # at 32, 16, 8 and 4 cells
-        self.down = nn.ModuleList([nn.Sequential(BasicBlock(c1, c1), BasicBlock(c1, c1))])
-        for inputs, outputs in itertools.pairwise(sizes):
-            self.down.append(nn.Sequential(BasicBlock(inputs, outputs, 2), BasicBlock(outputs, outputs)))
-        self.lateral, self.up = nn.ModuleList(), nn.ModuleList()
-        for inputs, outputs in zip(sizes[:0:-1], sizes[-2::-1], strict=True):
-            self.lateral.append(conv_bn_relu(inputs, outputs, 1, relu=False))
-            self.up.append(BasicBlock(outputs, outputs))
-        self.head = nn.Sequential(BasicBlock(c1, c1), nn.Conv2d(c1, N_JOINTS, 1))
-
-    def forward(self, x: Tensor) -> list[Tensor]:
-        """(B, 3, 128, 128) -> [(B, 21, 32, 32)]."""
-        x = self.stem(x)
-        encoded: list[Tensor] = []
-        for layer in self.down:
-            x = layer(x)
-            encoded.append(x)
-        for i, (lateral, layer) in enumerate(zip(self.lateral, self.up, strict=True)):
-            x = nn.functional.interpolate(lateral(x), scale_factor=2.0, mode="nearest")
-            x = layer(torch.relu(x + encoded[-2 - i]))
-        return [self.head(x)]
-
-
 class PoseNet2D(nn.Module):
     """Heatmaps of the 21 joints of one left-like hand."""
 
     def __init__(self, config: PoseNet2DConfig) -> None:
         super().__init__()
         self.config = config
-        self.net = EncoderDecoder(config) if config.variant == "encoder-decoder" else PoseMachine(config)
+        slim = config.variant == "encoder-decoder"
+        self.net = EncoderDecoder(N_JOINTS, config.width) if slim else PoseMachine(config)
         initialise(self)
         for layer in self.modules():
             if isinstance(layer, nn.Conv2d) and layer.out_channels == N_JOINTS:
@@ -170,7 +138,8 @@ class PoseNet2D(nn.Module):
         Returns:
             List of (B, 21, 32, 32): map values ("linear") or logits ("softmax").
         """
-        return self.net(x)
+        outputs = self.net(x)
+        return [outputs] if isinstance(outputs, Tensor) else outputs
 
     def probabilities(self, maps: Tensor) -> Tensor:
         """Softmax over the cells of each map, (B, 21, 32, 32), sum 1 per joint."""

@@ -35,15 +35,15 @@ class ProceduralBackgrounds:
 
     def sample(self, rng: np.random.Generator, width: int, height: int) -> np.ndarray:
         """A random (height, width, 3) uint8 RGB background."""
-        canvas = _smooth_noise(rng, width, height, cells=int(rng.integers(2, 6))) * rng.uniform(20, 90)
+        canvas = _smooth_noise(rng, width, height, cells=int(rng.integers(2, 6))) * np.float32(rng.uniform(20, 90))
         canvas += _gradient(rng, width, height)
         for _ in range(int(rng.integers(4, 26))):
             _draw_shape(canvas, rng)
-        canvas += _smooth_noise(rng, width, height, cells=int(rng.integers(20, 80))) * rng.uniform(0, 30)
+        canvas += _smooth_noise(rng, width, height, cells=int(rng.integers(20, 80))) * np.float32(rng.uniform(0, 30))
         # Most rooms are rather grey; a few are garish.
         grey = canvas.mean(-1, keepdims=True)
-        canvas = grey + (canvas - grey) * rng.beta(1.2, 2.2)
-        canvas += rng.normal(0, rng.uniform(0, 6), canvas.shape)
+        canvas = grey + (canvas - grey) * np.float32(rng.beta(1.2, 2.2))
+        canvas += rng.standard_normal(canvas.shape, dtype=np.float32) * np.float32(rng.uniform(0, 6))
         picture = np.clip(canvas, 0, 255).astype(np.uint8)
         if rng.random() < 0.5:
             blur = rng.uniform(0.5, 3.0) * width / 480
@@ -115,7 +115,7 @@ def augment(picture: np.ndarray, rng: np.random.Generator, width: int, height: i
     return np.asarray(cv2.LUT(crop, np.ascontiguousarray(table[None])))
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=1024)
 def _read(path: Path) -> np.ndarray | None:
     picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if picture is None:

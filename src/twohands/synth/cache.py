@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from twohands.errors import DataFormatError
@@ -24,6 +25,8 @@ from twohands.synth.stream import SyntheticStream
 from twohands.types import HandSample, PinholeCamera
 
 _VARIANT_STREAM = 1 << 41
+GLARE_RATE = 0.15
+"""Share of arms lit so brightly that parts of them are white, as in pictures of Ego3DHands."""
 
 
 def _layout(config: SynthConfig, count: int) -> dict[str, tuple[tuple[int, ...], type]]:
@@ -108,18 +111,14 @@ def vary_arms(rgb: np.ndarray, labels: np.ndarray, rng: np.random.Generator) -> 
     Returns:
         A varied copy, (H, W, 3) uint8.
     """
-    tables = np.empty((3, 256, 3), np.uint8)
-    tables[0] = np.arange(256)[:, None]
-    for side in (0, 1):
-        gain = np.exp(rng.normal(0.08, 0.28) + rng.normal(0, 0.07, 3))
-        gamma = np.exp(rng.normal(0, 0.15))
-        tables[1 + side] = np.clip(255 * (np.arange(256)[:, None] / 255) ** gamma * gain, 0, 255)
     out = rgb.copy()
-    for side in (0, 1):
-        mask = (labels >= 1 + 7 * side) & (labels <= 7 + 7 * side)
-        if mask.any():
-            pixels = rgb[mask]
-            out[mask] = np.stack([tables[1 + side][pixels[:, c], c] for c in range(3)], axis=1)
+    for first in (1, 8):
+        glare = rng.uniform(0.2, 1.0) if rng.random() < GLARE_RATE else 0.0
+        gain = np.exp(rng.normal(0.05, 0.28) + glare + rng.normal(0, 0.07, 3))
+        gamma = np.exp(rng.normal(0, 0.15))
+        table = np.clip(255 * (np.arange(256)[:, None] / 255) ** gamma * gain, 0, 255).astype(np.uint8)
+        arm = cv2.inRange(labels, np.array(first), np.array(first + 6))
+        cv2.copyTo(cv2.LUT(rgb, table[None]), arm, out)
     return out
 
 
@@ -187,7 +186,7 @@ class FrameCache:
             nothing = np.full((2, 22, 3), np.nan)
             absent = np.zeros(2, bool)
             return self._sample(background, np.zeros_like(labels), nothing, absent, index)
-        colour = vary_arms(rgba[..., :3], labels, rng)
+        colour = vary_arms(np.ascontiguousarray(rgba[..., :3]), labels, rng)
         return self._sample(
             compose(colour, rgba[..., 3], background),
             labels,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 
 from twohands.types import RenderedFrame
@@ -18,9 +19,13 @@ def compose(rgb: np.ndarray, alpha: np.ndarray, background: np.ndarray) -> np.nd
     Returns:
         (H, W, 3) uint8; exactly `rgb` where alpha is 255 and `background` where it is 0.
     """
-    weight = alpha[..., None].astype(np.uint16)
-    mixed = rgb * weight + background * (255 - weight)
-    return ((mixed + 127) // 255).astype(np.uint8)
+    out = background.copy()
+    cv2.copyTo(rgb, np.where(alpha == 255, alpha, 0), out)
+    edge = (alpha > 0) & (alpha < 255)  # few pixels: blending the others would change nothing
+    weight = alpha[edge][:, None].astype(np.uint16)
+    mixed = rgb[edge] * weight + background[edge] * (255 - weight)
+    out[edge] = (mixed + 127) // 255
+    return out
 
 
 def compose_frame(frame: RenderedFrame, background: np.ndarray) -> np.ndarray:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
 from typing import Any, Protocol
 
 import cv2
@@ -13,14 +15,18 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, Sampler
 
-from twohands.datasets.targets import PoseTarget, pose_target, segmentation_target
+from twohands.datasets.targets import PoseTarget, Segmentation, pose_target, segmentation_target
 from twohands.errors import InputError
+from twohands.inference.segmentation import boxes_from_energy, letterbox, masks_from_logits, network_input
+from twohands.models.checkpoint import load_network
 from twohands.skeleton import LEFT, RIGHT
 from twohands.training.config import TrainConfig
 from twohands.types import HandSample
 
 Batch = dict[str, Tensor]
 Rngs = Sequence[np.random.Generator]
+Segment = Callable[[Sequence[np.ndarray]], list[Segmentation]]
+"""Masks and boxes of pictures, each (H, W, 3) uint8."""
 
 
 class SampleSource(Protocol):
@@ -75,19 +81,60 @@ def segmentation_batch(samples: Sequence[HandSample], config: TrainConfig, rngs:
     return {name: torch.from_numpy(np.stack([getattr(t, name) for t in targets])) for name in names}
 
 
-def pose_batch(samples: Sequence[HandSample], config: TrainConfig, rngs: Rngs) -> Batch:
+class Segmenter:
+    """A trained HandSegNet, as the pose stages will meet it: the network and the reading of its maps.
+
+    Args:
+        checkpoint: written by the trainer.
+
+    Raises:
+        CheckpointError: missing, damaged, or of another network.
+    """
+
+    def __init__(self, checkpoint: Path) -> None:
+        self.net = load_network("hand_seg_net", checkpoint).to(memory_format=torch.channels_last).eval()  # type: ignore[call-overload]
+        self.size = (self.net.config.height, self.net.config.width_px)
+
+    @torch.inference_mode()
+    def __call__(self, images: Sequence[np.ndarray]) -> list[Segmentation]:
+        """Masks and boxes of pictures, each (H, W, 3) uint8."""
+        canvases, places = zip(*(letterbox(image, self.size) for image in images), strict=True)
+        inputs = torch.from_numpy(network_input(np.stack(canvases))).contiguous(memory_format=torch.channels_last)
+        with torch.autocast("cpu", torch.bfloat16):
+            logits, energies = self.net(inputs)
+        logits, energies = logits.float().numpy(), torch.sigmoid(energies.float()).numpy()
+        found = []
+        for i, image in enumerate(images):
+            boxes = boxes_from_energy(places[i].content(energies[i]), image.shape[:2])
+            classes = masks_from_logits(places[i].content(logits[i]), image.shape[:2], boxes.present)
+            found.append(Segmentation(classes, boxes.boxes_px))
+        return found
+
+
+def pose_batch(
+    samples: Sequence[HandSample],
+    config: TrainConfig,
+    rngs: Rngs,
+    segment: Segment | None = None,
+) -> Batch:
     """Crops for PoseNet2D and PoseNet3D: every usable hand of the pictures.
 
     Args:
         samples: labelled pictures.
         config: the run.
         rngs: one generator per sample for random changes, or none at all for plain crops.
+        segment: finds masks and boxes, for all pictures without `rngs` and for the share `augment.predicted` of them
+            with; None for true ones.
 
     Returns:
         The fields of `PoseTarget`, stacked over N hands; N may be 0.
     """
     size = config.networks.pose_net_2d.crop_size
     targets: list[PoseTarget] = []
+    chosen = [i for i in range(len(samples)) if not rngs or rngs[i].random() < config.augment.predicted]
+    predicted: dict[int, Segmentation] = {}
+    if segment is not None and chosen:
+        predicted = dict(zip(chosen, segment([samples[i].image for i in chosen]), strict=True))
     for i, sample in enumerate(samples):
         for side in (LEFT, RIGHT):
             target = pose_target(
@@ -97,6 +144,7 @@ def pose_batch(samples: Sequence[HandSample], config: TrainConfig, rngs: Rngs) -
                 config.crop,
                 photometric=config.augment.photometric,
                 masks=config.augment.masks,
+                predicted=predicted.get(i),
                 rng=rngs[i] if rngs else None,
             )
             if target is not None:
@@ -110,9 +158,23 @@ def pose_batch(samples: Sequence[HandSample], config: TrainConfig, rngs: Rngs) -
     return batch
 
 
-def build_batch(samples: Sequence[HandSample], config: TrainConfig, rngs: Rngs) -> Batch:
-    """The batch that the configured stage needs."""
-    return (segmentation_batch if config.stage == "hand_seg_net" else pose_batch)(samples, config, rngs)
+class BatchBuilder:
+    """Builds the batch that the configured stage needs; cheap to send to another process."""
+
+    def __init__(self, config: TrainConfig) -> None:
+        self.config = config
+
+    @cached_property
+    def segmenter(self) -> Segmenter | None:
+        """One per process, loaded when first needed."""
+        checkpoint = self.config.data.segmentation
+        return Segmenter(Path(checkpoint)) if checkpoint else None
+
+    def __call__(self, samples: Sequence[HandSample], rngs: Rngs) -> Batch:
+        """See `segmentation_batch` and `pose_batch`."""
+        if self.config.stage == "hand_seg_net":
+            return segmentation_batch(samples, self.config, rngs)
+        return pose_batch(samples, self.config, rngs, self.segmenter)
 
 
 class BatchDataset(Dataset[Batch]):
@@ -132,6 +194,7 @@ class BatchDataset(Dataset[Batch]):
             raise InputError("no training pictures: the source is empty")
         self.source, self.config, self.rank, self.world_size = source, config, rank, world_size
         self._order: tuple[int, np.ndarray] | None = None
+        self._build = BatchBuilder(config)
 
     def __len__(self) -> int:
         return self.config.iterations
@@ -151,7 +214,7 @@ class BatchDataset(Dataset[Batch]):
     def __getitem__(self, step: int) -> Batch:
         picks = self.picks(step)
         rngs = [np.random.default_rng([self.config.seed, epoch, index, 1]) for epoch, index in picks]
-        return build_batch([self.source[index] for _, index in picks], self.config, rngs)
+        return self._build([self.source[index] for _, index in picks], rngs)
 
 
 class StepsFrom(Sampler[int]):
@@ -184,10 +247,9 @@ def batch_loader(dataset: BatchDataset, start: int) -> DataLoader[Batch]:
 def validation_batches(source: SampleSource, config: TrainConfig) -> list[Batch]:
     """All held-out pictures, unchanged, in order; kept in memory because they are used again and again."""
     size = max(config.batch_images, 16)
+    build = BatchBuilder(config)
     starts = range(0, len(source), size)
-    batches = (
-        build_batch([source[i] for i in range(start, min(start + size, len(source)))], config, ()) for start in starts
-    )
+    batches = (build([source[i] for i in range(start, min(start + size, len(source)))], ()) for start in starts)
     return [batch for batch in batches if batch]
 
 

@@ -46,6 +46,9 @@ class DataConfig:
     """Share of pictures from cached frames that show no hand, for HandSegNet; the pose stages see none."""
     variants: int = 20
     """Pictures per cached frame, each with its own background and light."""
+    segmentation: str = ""
+    """Pose stages: checkpoint of a trained HandSegNet whose masks and boxes are mixed in (`AugmentConfig.predicted`),
+    and from which validation crops; empty for true masks alone."""
     workers: int = 1
     """Processes that prepare batches; 0 prepares them in the training process. The result is the same."""
 
@@ -58,6 +61,8 @@ class AugmentConfig:
     """Colours, blur, noise."""
     masks: MaskConfig = field(default_factory=MaskConfig)
     """Imperfect masks (pose stages)."""
+    predicted: float = 0.7
+    """Share of pictures cropped by HandSegNet's own masks and boxes where there are any (pose stages)."""
     zoom: ZoomConfig = field(default_factory=ZoomConfig)
     """Scale, shift, flip (segmentation stage)."""
 

@@ -301,12 +301,22 @@ def _save_networks(state: TrainState, config: TrainConfig, out: Path, figures: d
         "seed": config.seed,
         "iterations": state.iteration,
         "minutes": round(state.elapsed_s / 60, 2),
-        "data": config.to_dict()["data"],
+        "data": _without_paths(config.to_dict()["data"]),
         "crop": config.to_dict()["crop"],
         "validation": figures,
     }
     for name, network in state.best.networks().items():
         save_network(name, network, out / f"{name}.safetensors", note=note)
+
+
+def _without_paths(data: dict[str, Any]) -> dict[str, Any]:
+    """Settings of the data for publication: folders by their names, not by where one machine has them."""
+    names = {key: [Path(part.strip()).name for part in data[key].split(",")] for key in ("source", "backgrounds")}
+    return {
+        **data,
+        **{key: ", ".join(parts) for key, parts in names.items()},
+        "segmentation": bool(data["segmentation"]),
+    }
 
 
 class _Log:
