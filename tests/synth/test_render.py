@@ -11,10 +11,10 @@ from twohands import skeleton
 from twohands.geometry.camera import project
 from twohands.synth.body import load_asset, skin
 from twohands.synth.compositing import compose
-from twohands.synth.config import SynthConfig
+from twohands.synth.config import WILD, SynthConfig
 from twohands.synth.render.raster import RasterRenderer
 from twohands.synth.render.surface import surface, vertex_normals
-from twohands.synth.scene import sample_scene
+from twohands.synth.scene import BARE, sample_scene
 
 CONFIG = SynthConfig(width=480, height=270)
 
@@ -172,3 +172,58 @@ def test_edges_are_smooth(rendered):
     partial = (frame.alpha > 0) & (frame.alpha < 255)
     assert partial.sum() > 50
     assert (edge[partial] > 0).mean() > 0.95
+
+
+def test_wild_hands_are_where_their_labels_say(renderer):
+    """A turned and shifted camera, another focal length: visible hand vertices still meet their own depth."""
+    config = dataclasses.replace(WILD, width=480, height=270, sleeves=0.0, gloves=0.0)
+    asset = load_asset()
+    follows_bones = asset.bone_weight.sum(1) > 0.999  # the torso's share follows the view instead
+    seen_share = []
+    for i in range(6):
+        scene = sample_scene(config, 21, i)
+        frame = renderer.render(scene)
+        vertices = skin(scene.body, scene.transforms)[follows_bones & scene.present[asset.side]] * scene.scale
+        px = project(np.where(vertices[:, 2:] > 0.05, vertices, [0, 0, 1]), scene.camera)
+        ok = (vertices[:, 2] > 0.05) & ((px > 1) & (px < [479, 269])).all(1)
+        col, row = px[ok].astype(int).T
+        seen, z = frame.depth_m[row, col], vertices[ok, 2]
+        hit = seen > 0
+        assert hit.mean() > 0.9
+        assert np.quantile(z[hit] - seen[hit], 0.05) > -0.002  # hardly any vertex in front of what is seen
+        seen_share.append((np.abs(z[hit] - seen[hit]) < 0.002).mean())
+    assert np.mean(seen_share) > 0.2  # half of them are on the far side, many behind other fingers
+
+
+def test_the_other_hand_only_takes_light_away(renderer):
+    """Shadows and occlusion: with the other hand away, no pixel of this hand gets darker."""
+    config = dataclasses.replace(CONFIG, drop_rate=0.0, together=1.0)
+    darker = 0
+    for i in range(6):
+        scene = sample_scene(config, 5, i)
+        alone = dataclasses.replace(
+            scene, present=np.array([True, False]), joints_m=np.where([[[True]], [[False]]], scene.joints_m, np.nan)
+        )
+        both, one = renderer.render(scene), renderer.render(alone)
+        same = (both.part_labels == one.part_labels) & (one.part_labels > 0)
+        same &= (both.alpha == 255) & (one.alpha == 255)
+        change = both.rgb[same].astype(int) - one.rgb[same].astype(int)
+        assert (change > 3).any(-1).mean() < 0.002  # a few on outlines, where pixels mix both hands
+        darker += (change < -4).any(-1).sum()
+    assert darker > 500
+
+
+def test_sleeves_cover_the_arm_and_nothing_else(renderer):
+    scene = sample_scene(CONFIG, 11, 0)
+    thick = dataclasses.replace(BARE, sleeve_from=0.05, sleeve_albedo=np.array([0.0, 0.0, 0.8]), thickness_m=0.004)
+    bare, dressed = renderer.render(scene), renderer.render(dataclasses.replace(scene, clothes=thick))
+    hand = (bare.part_labels > 0) & ~np.isin(bare.part_labels, [1, 8])
+    kept = hand & (dressed.part_labels == bare.part_labels)
+    assert kept.sum() > 0.98 * hand.sum()
+    interior = cv2.erode(kept.astype(np.uint8), np.ones((3, 3))) > 0
+    np.testing.assert_array_equal(dressed.rgb[interior], bare.rgb[interior])
+    arm = np.isin(dressed.part_labels, [1, 8])
+    blue = dressed.rgb[..., 2].astype(int) > dressed.rgb[..., 0].astype(int) + 40
+    assert (blue & arm).sum() > 0.4 * arm.sum()
+    assert not (blue & ~arm).any()
+    assert arm.sum() > np.isin(bare.part_labels, [1, 8]).sum()  # fabric has a thickness

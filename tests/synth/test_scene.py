@@ -1,5 +1,7 @@
 """Scenes: reproducible, inside the box and the picture, hands apart."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -7,8 +9,8 @@ from twohands.errors import InputError
 from twohands.geometry.camera import project
 from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
 from twohands.synth.collision import segment_distance
-from twohands.synth.config import SynthConfig
-from twohands.synth.scene import sample_lighting, sample_scene, sample_skin
+from twohands.synth.config import WILD, SynthConfig
+from twohands.synth.scene import BARE, inside_image, sample_lighting, sample_scene, sample_skin
 
 CONFIG = SynthConfig(width=480, height=270)
 
@@ -115,3 +117,70 @@ def test_segment_distance_by_hand():
     ]
     for (b0, b1), expected in cases:
         assert segment_distance(a0, a1, np.array([b0], float), np.array([b1], float))[0] == pytest.approx(expected)
+
+
+WILD_CONFIG = dataclasses.replace(WILD, width=480, height=270)
+
+
+@pytest.fixture(scope="module")
+def wild_scenes():
+    return [sample_scene(WILD_CONFIG, 3, i) for i in range(60)]
+
+
+def test_wild_cameras_stay_in_their_ranges(wild_scenes):
+    fov = np.array([np.degrees(2 * np.arctan(240 / s.camera.fx)) for s in wild_scenes])
+    assert fov.min() >= 50 and fov.max() <= 110 and fov.std() > 10
+    for scene in wild_scenes:
+        assert abs(scene.camera.cx - 240) <= 0.06 * 480 and abs(scene.camera.cy - 135) <= 0.06 * 270
+        rotation = scene.view[:, :3]
+        np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(rotation) == pytest.approx(1)
+        place = -rotation.T @ scene.view[:, 3]
+        assert np.abs(place).max() <= 0.06
+        down = np.degrees(np.arcsin(rotation[2, 1]))  # how far the optical axis points below the horizon
+        assert -15 - 1e-6 <= down <= 40 + 1e-6
+
+
+def test_looking_down_moves_the_hands_up():
+    straight = dataclasses.replace(CONFIG, min_inside=0)
+    down = dataclasses.replace(straight, pitch=(20.0, 20.0))
+    for i in range(5):
+        a, b = sample_scene(straight, 2, i), sample_scene(down, 2, i)
+        side = int(np.flatnonzero(a.present)[0])
+        u, v = (project(s.joints_m[side, 1 + ROOT], s.camera) for s in (a, b))
+        assert v[1] < u[1]
+        distances = [np.linalg.norm(s.joints_m[side, 1 + ROOT]) for s in (a, b)]
+        assert distances[0] == pytest.approx(distances[1])
+
+
+def test_wild_hands_are_in_their_box_and_mostly_in_the_picture(wild_scenes):
+    low, high = np.array(WILD.box_min), np.array(WILD.box_max)
+    for scene in wild_scenes:
+        assert scene.scale == 1.0
+        rotation = scene.view[:, :3]
+        for side in np.flatnonzero(scene.present):
+            root = rotation.T @ (scene.joints_m[side, 1 + ROOT] - scene.view[:, 3])
+            root = root * [-1, 1, 1] if side == RIGHT else root
+            assert (root > low - 1e-9).all() and (root < high + 1e-9).all()
+            assert inside_image(scene.joints_m[side, 1:], scene.camera, 0.0).sum() >= 14
+
+
+def test_joints_behind_the_camera_are_outside():
+    camera = sample_scene(CONFIG, 0, 0).camera
+    inside = inside_image(np.array([[0.0, 0.0, 0.3], [0.0, 0.0, -0.3], [0.5, 0.0, 0.3]]), camera, 0.0)
+    assert inside.tolist() == [True, False, False]
+
+
+def test_hands_that_are_together_are_near_each_other():
+    def median_distance(together: float) -> float:
+        config = dataclasses.replace(CONFIG, drop_rate=0.0, together=together)
+        roots = np.array([sample_scene(config, 9, i).joints_m[:, 1 + ROOT] for i in range(40)])
+        return float(np.median(np.linalg.norm(roots[:, 0] - roots[:, 1], axis=1)))
+
+    assert median_distance(1.0) < 0.75 * median_distance(0.0)
+
+
+def test_clothes_are_as_frequent_as_asked(wild_scenes):
+    sleeves = np.mean([np.isfinite(s.clothes.sleeve_from) for s in wild_scenes])
+    assert 0.3 < sleeves < 0.7
+    assert all(s.clothes is BARE for s in (sample_scene(CONFIG, 7, i) for i in range(5)))

@@ -21,7 +21,7 @@ from twohands.synth.compositing import compose
 from twohands.synth.config import SynthConfig
 from twohands.synth.production import MANIFEST, claim_folder, in_processes
 from twohands.synth.scene import instance_rng
-from twohands.synth.stream import SyntheticStream
+from twohands.synth.stream import SyntheticStream, labelled
 from twohands.types import HandSample, PinholeCamera
 
 _VARIANT_STREAM = 1 << 41
@@ -36,6 +36,7 @@ def _layout(config: SynthConfig, count: int) -> dict[str, tuple[tuple[int, ...],
         "labels": (size, np.uint8),
         "joints": ((count, 2, 22, 3), np.float32),
         "present": ((count, 2), np.bool_),
+        "intrinsics": ((count, 4), np.float32),
         "done": ((count,), np.bool_),
     }
 
@@ -63,7 +64,7 @@ def build_cache(
         InputError: the folder holds something else.
         TwoHandsError: a worker process died.
     """
-    claim_folder(folder, {"format": "frames-1", "seed": seed, "count": count, "config": asdict(config)})
+    claim_folder(folder, {"format": "frames-2", "seed": seed, "count": count, "config": asdict(config)})
     for name, (shape, dtype) in _layout(config, count).items():
         file = folder / f"{name}.npy"
         if not file.exists():
@@ -96,6 +97,8 @@ def _render_frame(index: int) -> int:
     arrays["labels"][index] = frame.part_labels
     arrays["joints"][index] = frame.joints_m
     arrays["present"][index] = frame.present
+    camera = frame.camera
+    arrays["intrinsics"][index] = camera.fx, camera.fy, camera.cx, camera.cy
     arrays["done"][index] = True
     return index
 
@@ -114,7 +117,9 @@ def vary_arms(rgb: np.ndarray, labels: np.ndarray, rng: np.random.Generator) -> 
     out = rgb.copy()
     for first in (1, 8):
         glare = rng.uniform(0.2, 1.0) if rng.random() < GLARE_RATE else 0.0
-        gain = np.exp(rng.normal(0.05, 0.28) + glare + rng.normal(0, 0.07, 3))
+        warmth = rng.normal(0, 0.09)  # lamps differ between blue and yellow much more than towards green
+        tint = np.array([warmth, 0.0, -warmth]) + rng.normal(0, 0.03, 3)
+        gain = np.exp(rng.normal(0.05, 0.28) + glare + tint)
         gamma = np.exp(rng.normal(0, 0.15))
         table = np.clip(255 * (np.arange(256)[:, None] / 255) ** gamma * gain, 0, 255).astype(np.uint8)
         arm = cv2.inRange(labels, np.array(first), np.array(first + 6))
@@ -148,7 +153,8 @@ class FrameCache:
             manifest = json.loads((folder / MANIFEST).read_text())
             self.seed = int(manifest["seed"])
             self._arrays = {
-                name: np.load(folder / f"{name}.npy", mmap_mode="r") for name in ("rgba", "labels", "joints", "present")
+                name: np.load(folder / f"{name}.npy", mmap_mode="r")
+                for name in ("rgba", "labels", "joints", "present", "intrinsics")
             }
             done = np.load(folder / "done.npy", mmap_mode="r")
         except (OSError, ValueError, KeyError) as error:
@@ -160,8 +166,7 @@ class FrameCache:
         self.variants, self.empty_rate = variants, empty_rate
         self.backgrounds = backgrounds or ProceduralBackgrounds()
         self.name = f"{folder.name} frames {start}..{stop}"
-        height, width = self._arrays["labels"].shape[1:]
-        self.camera = PinholeCamera.ego3dhands(width, height)
+        self._height, self._width = self._arrays["labels"].shape[1:]
 
     @staticmethod
     def is_cache(folder: Path) -> bool:
@@ -181,31 +186,40 @@ class FrameCache:
         labels = np.asarray(arrays["labels"][at])
         # Keyed by the frame itself, so that held-out frames never share a draw with training ones.
         rng = instance_rng(self.seed, _VARIANT_STREAM + variant * len(arrays["present"]) + at)
-        background = self.backgrounds.sample(rng, self.camera.width, self.camera.height)
+        background = self.backgrounds.sample(rng, self._width, self._height)
+        fx, fy, cx, cy = map(float, arrays["intrinsics"][at])
+        camera = PinholeCamera(fx, fy, cx, cy, self._width, self._height)
         if rng.random() < self.empty_rate:
             nothing = np.full((2, 22, 3), np.nan)
             absent = np.zeros(2, bool)
-            return self._sample(background, np.zeros_like(labels), nothing, absent, index)
+            return self._sample(background, np.zeros_like(labels), nothing, absent, camera, index)
         colour = vary_arms(np.ascontiguousarray(rgba[..., :3]), labels, rng)
         return self._sample(
             compose(colour, rgba[..., 3], background),
             labels,
             np.asarray(arrays["joints"][at], np.float64),
             np.asarray(arrays["present"][at]),
+            camera,
             index,
         )
 
     def _sample(
-        self, image: np.ndarray, labels: np.ndarray, joints_m: np.ndarray, present: np.ndarray, index: int
+        self,
+        image: np.ndarray,
+        labels: np.ndarray,
+        joints_m: np.ndarray,
+        present: np.ndarray,
+        camera: PinholeCamera,
+        index: int,
     ) -> HandSample:
         hand = joints_m[:, 1:]
         return HandSample(
             image=image,
-            camera=self.camera,
+            camera=camera,
             present=present,
-            joints_px=project(hand, self.camera),
+            joints_px=project(hand, camera),
             joints_m=hand,
-            valid=np.repeat(present[:, None], hand.shape[1], axis=1),
+            valid=labelled(hand, present),
             labels=labels,
             source=f"{self.name} #{index}",
         )

@@ -89,6 +89,20 @@ def _sized_radii(body: Body) -> np.ndarray:
     return _radii() * (body.hand_length_m / load_asset().body().hand_length_m)
 
 
+def capsules(body: Body, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The bones of hands and forearms as capsules.
+
+    Args:
+        body: the person.
+        joints: (H, 22, 3) posed joints of H hands.
+
+    Returns:
+        (20 H, 3) starts and ends in the unit of `joints`, and (20 H,) radii in the body's metres.
+    """
+    starts, ends = joints[:, _SEGMENTS[:, 0]], joints[:, _SEGMENTS[:, 1]]
+    return starts.reshape(-1, 3), ends.reshape(-1, 3), np.tile(_sized_radii(body), len(joints))
+
+
 def hand_enters_itself(body: Body, joints: np.ndarray) -> bool:
     """Whether a finger enters the palm, the forearm or another finger by more than the flesh yields.
 

@@ -32,8 +32,26 @@ class SynthConfig:
     """All 21 joints of a hand stay this fraction of the image away from its border."""
     skin_tones: tuple[float, float] = (0.0, 1.0)
     """Range of skin tone, drawn evenly: 0 the lightest of the Monk scale, 1 the darkest."""
+    min_inside: int = 21
+    """At least this many of a hand's 21 joints lie inside the image, `image_margin` away from its border."""
     lights: int = 4
     """Point lights with slightly random colour, brightness and position."""
+    fov: tuple[float, float] | None = None
+    """Range of the horizontal field of view, drawn evenly; None keeps the paper's focal length (104 degrees)."""
+    principal_shift: float = 0.0
+    """Largest shift of the principal point from the image's centre, as a fraction of its size."""
+    pitch: tuple[float, float] = (0.0, 0.0)
+    """Range of the camera's pitch; positive looks down."""
+    roll: tuple[float, float] = (0.0, 0.0)
+    """Range of the camera's roll; positive turns the picture counter-clockwise."""
+    camera_shift: float = 0.0
+    """Largest distance of the camera from the point between the eyes, per axis."""
+    together: float = 0.0
+    """Share of two-hand pictures with the hands close to each other: crossing, touching, one hiding the other."""
+    sleeves: float = 0.0
+    """Share of people with sleeves, which end anywhere between wrist and elbow."""
+    gloves: float = 0.0
+    """Share of people with gloves."""
 
     def __post_init__(self) -> None:
         if self.width < 32 or self.height < 32:
@@ -50,5 +68,44 @@ class SynthConfig:
             raise InputError(f"skin_tones must be an ordered pair in [0, 1], got {self.skin_tones}")
         if not 0 <= self.image_margin < 0.4:
             raise InputError(f"image_margin must lie in [0, 0.4), got {self.image_margin}")
+        if not 0 <= self.min_inside <= 21:
+            raise InputError(f"min_inside must be 0 to 21 joints, got {self.min_inside}")
+        if self.fov is not None and not 10 <= self.fov[0] <= self.fov[1] <= 150:
+            raise InputError(f"fov must be an ordered pair in [10, 150] degrees, got {self.fov}")
+        if not 0 <= self.principal_shift <= 0.3:
+            raise InputError(f"principal_shift must lie in [0, 0.3], got {self.principal_shift}")
+        if not 0 <= self.camera_shift <= 0.15:
+            raise InputError(f"camera_shift must lie in [0, 0.15] metres, got {self.camera_shift}")
+        for name in ("pitch", "roll"):
+            low, high = getattr(self, name)
+            if not -60 <= low <= high <= 60:
+                raise InputError(f"{name} must be an ordered pair in [-60, 60] degrees, got ({low}, {high})")
+        for name in ("together", "sleeves", "gloves"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise InputError(f"{name} must lie in [0, 1], got {getattr(self, name)}")
         if not 1 <= self.lights <= 8:
             raise InputError(f"lights must be 1 to 8, got {self.lights}")
+
+
+PAPER = SynthConfig()
+"""The paper's static set: one character, one camera."""
+
+WILD = SynthConfig(
+    body_variation=1.0,
+    hand_length=None,
+    box_min=(-0.30, -0.16, 0.16),
+    box_max=(0.16, 0.24, 0.55),
+    image_margin=0.0,
+    min_inside=14,
+    fov=(50.0, 110.0),
+    principal_shift=0.06,
+    pitch=(-15.0, 40.0),
+    roll=(-12.0, 12.0),
+    camera_shift=0.06,
+    together=0.35,
+    sleeves=0.5,
+    gloves=0.06,
+)
+"""As varied as the world: all kinds of adults, cameras, clothes; hands that meet and leave the picture."""
+
+PRESETS = {"paper": PAPER, "wild": WILD}

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import dataclasses
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
@@ -13,7 +14,7 @@ from twohands.skeleton import LEFT, RIGHT, ROOT
 from twohands.synth.body import BONES_PER_SIDE, Body, forward_kinematics, load_asset, posed_joints
 from twohands.synth.collision import hand_enters_itself, hands_collide
 from twohands.synth.config import SynthConfig
-from twohands.synth.pose import ArmAnatomy, HandAngles, unit
+from twohands.synth.pose import ArmAnatomy, HandAngles, rotation_about, unit
 from twohands.types import PinholeCamera
 
 MAX_TRIES = 2000
@@ -40,6 +41,30 @@ class Skin:
     roughness: float
     mottle: float
     seed: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Clothes:
+    """What covers the arms; colours are linear RGB albedo.
+
+    Attributes:
+        sleeve_from: where sleeves begin, on the way from the wrist (0) to the elbow (1); infinite without sleeves.
+        glove_until: where gloves end on the same scale; minus infinity without gloves.
+        sleeve_albedo, glove_albedo: (3,).
+        pattern: (3,) strength, period in metres and direction (radians) of the sleeve's stripes.
+        thickness_m: of the fabric.
+    """
+
+    sleeve_from: float
+    glove_until: float
+    sleeve_albedo: np.ndarray
+    glove_albedo: np.ndarray
+    pattern: np.ndarray
+    thickness_m: float
+
+
+BARE = Clothes(np.inf, -np.inf, np.zeros(3), np.zeros(3), np.array([0.0, 0.01, 0.0]), 0.0)
+"""Short sleeves, no gloves."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,6 +97,8 @@ class SceneSpec:
         skin: the person's.
         lighting: lights.
         index: number of the instance.
+        view: (3, 4) from the frame between the eyes (SPEC 5.1) to the camera, before scaling.
+        clothes: sleeves and gloves.
     """
 
     camera: PinholeCamera
@@ -83,6 +110,8 @@ class SceneSpec:
     skin: Skin
     lighting: Lighting
     index: int
+    view: np.ndarray = field(default_factory=lambda: np.eye(3, 4))
+    clothes: Clothes = BARE
 
     @property
     def body(self) -> Body:
@@ -208,12 +237,54 @@ def sample_shape(config: SynthConfig, rng: np.random.Generator) -> np.ndarray:
     return (config.body_variation * (a * blend + b * (1 - blend)))[:SHAPE_RANK].astype(np.float64)
 
 
-def inside_image(joints_m: np.ndarray, camera: PinholeCamera, margin: float) -> bool:
-    """Whether all joints (..., 3) project into the image, `margin` (a fraction of its size) away from its border."""
-    if joints_m[..., 2].min() <= 0.02:
-        return False
-    px = project(joints_m, camera) / [camera.width, camera.height]
-    return bool((px > margin).all() and (px < 1 - margin).all())
+def inside_image(joints_m: np.ndarray, camera: PinholeCamera, margin: float) -> np.ndarray:
+    """Which joints (..., 3) project into the image, `margin` (a fraction of its size) away from its border; (...)."""
+    ahead = joints_m[..., 2] > 0.02
+    px = project(np.where(ahead[..., None], joints_m, [0.0, 0.0, 1.0]), camera) / [camera.width, camera.height]
+    return ahead & (px > margin).all(-1) & (px < 1 - margin).all(-1)
+
+
+def sample_camera(config: SynthConfig, rng: np.random.Generator) -> tuple[PinholeCamera, np.ndarray]:
+    """Intrinsics, and the (3, 4) transform from the frame between the eyes to the camera's."""
+    camera = PinholeCamera.ego3dhands(config.width, config.height)
+    if config.fov is not None:
+        camera = PinholeCamera.from_fov(rng.uniform(*config.fov), config.width, config.height)
+    if config.principal_shift:
+        shift = rng.uniform(-config.principal_shift, config.principal_shift, 2) * [config.width, config.height]
+        camera = dataclasses.replace(camera, cx=camera.cx + shift[0], cy=camera.cy + shift[1])
+    pitch, roll = np.radians(rng.uniform(*config.pitch)), np.radians(rng.uniform(*config.roll))
+    rotation = rotation_about(np.array([0.0, 0.0, 1.0]), roll) @ rotation_about(np.array([1.0, 0.0, 0.0]), pitch)
+    place = rng.uniform(-config.camera_shift, config.camera_shift, 3)
+    return camera, np.concatenate([rotation, -(rotation @ place)[:, None]], axis=1)
+
+
+def moved(view: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Points (..., 3) after the rigid transform `view` (3, 4)."""
+    return points @ view[:, :3].T + view[:, 3]
+
+
+def sample_clothes(config: SynthConfig, rng: np.random.Generator) -> Clothes:
+    """Sleeves and gloves in any colour, mostly muted, plain or striped."""
+    has_sleeves, has_gloves = rng.random(2) < [config.sleeves, config.gloves]
+    if not (has_sleeves or has_gloves):
+        return BARE
+
+    def fabric() -> np.ndarray:
+        grey = rng.beta(0.8, 1.2)
+        return np.clip((grey + rng.normal(0, 0.22, 3) * rng.beta(1, 2)) * 0.85, 0.01, 0.85)
+
+    striped = rng.random() < 0.3
+    pattern = np.array(
+        [rng.uniform(0.2, 0.8) * striped, np.exp(rng.uniform(*np.log([0.003, 0.03]))), rng.uniform(0, 3)]
+    )
+    return Clothes(
+        rng.uniform(0.02, 0.95) if has_sleeves else np.inf,
+        rng.uniform(0.0, 0.25) if has_gloves else -np.inf,
+        fabric(),
+        fabric(),
+        pattern,
+        rng.uniform(0.0008, 0.006),
+    )
 
 
 def sample_scene(config: SynthConfig, seed: int, index: int) -> SceneSpec:
@@ -234,15 +305,23 @@ def sample_scene(config: SynthConfig, seed: int, index: int) -> SceneSpec:
     shape = sample_shape(config, rng)
     key = tuple(shape.tolist())
     body, anatomy = _body(key), _anatomy(key)
-    camera = PinholeCamera.ego3dhands(config.width, config.height)
+    camera, view = sample_camera(config, rng)
     present = rng.random(2) >= config.drop_rate
     if not present.any():
         present[rng.integers(2)] = True
 
     rotations = np.tile(np.eye(3), (2 * BONES_PER_SIDE, 1, 1))
+    sides = [side for side in (LEFT, RIGHT) if present[side]]
     for _ in range(MAX_TRIES):
-        sides = [side for side in (LEFT, RIGHT) if present[side]]
-        if not all(_pose_arm(config, anatomy[side], body, camera, rotations, rng) for side in sides):
+        together = len(sides) == 2 and rng.random() < config.together
+        first = int(rng.integers(2)) if together else 0
+        partner = None
+        for side in sides if first == 0 else sides[::-1]:
+            root = _pose_arm(config, anatomy[side], body, camera, view, rotations, rng, partner)
+            if root is None:
+                break
+            partner = root if together else None
+        if root is None:
             continue
         transforms = forward_kinematics(body, rotations)
         joints = posed_joints(body, transforms)
@@ -252,18 +331,25 @@ def sample_scene(config: SynthConfig, seed: int, index: int) -> SceneSpec:
         raise InputError(f"no pose fits the hand box {config.box_min} to {config.box_max}: enlarge or move it")
 
     scale = 1.0 if config.hand_length is None else config.hand_length / body.hand_length_m
-    joints_m = np.where(present[:, None, None], joints * scale, np.nan)
+    joints_m = np.where(present[:, None, None], moved(view, joints) * scale, np.nan)
+    lighting = sample_lighting(config, rng)
     return SceneSpec(
         camera,
         shape,
-        transforms,
+        np.concatenate([view[:, :3] @ transforms[..., :3], moved(view, transforms[..., 3])[..., None]], axis=-1),
         scale,
         joints_m,
         present,
         sample_skin(config, rng),
-        sample_lighting(config, rng),
+        dataclasses.replace(lighting, positions=moved(view, lighting.positions)),
         index,
+        view,
+        sample_clothes(config, rng),
     )
+
+
+NEAR_PARTNER_M = 0.11
+"""Spread (standard deviation per axis) of the distance between two roots that are together."""
 
 
 def _pose_arm(
@@ -271,17 +357,24 @@ def _pose_arm(
     anatomy: ArmAnatomy,
     body: Body,
     camera: PinholeCamera,
+    view: np.ndarray,
     rotations: np.ndarray,
     rng: np.random.Generator,
-) -> bool:
-    """Draws one arm into `rotations` (48, 3, 3); tells whether one was found that reaches the box, stays in the
-    picture and out of itself."""
+    partner: np.ndarray | None,
+) -> np.ndarray | None:
+    """Draws one arm into `rotations` (48, 3, 3), near the root `partner` of the other hand if there is one.
+
+    Returns:
+        Its root (3,), or None if no arm was found that reaches the box, stays in the picture and out of itself.
+    """
     low, high = np.array(config.box_min), np.array(config.box_max)
     if anatomy.side == RIGHT:
         low[0], high[0] = -config.box_max[0], -config.box_min[0]
     arm = slice(anatomy.first, anatomy.first + BONES_PER_SIDE)
     for _ in range(40):
         target = rng.uniform(low, high)
+        if partner is not None:
+            target = np.clip(partner + rng.normal(0, NEAR_PARTNER_M, 3), low, high)
         hand = anatomy.hand_rotations(sample_angles(rng))
         # The box is for the root joint but the arm solver places the wrist, about a hand length nearer the elbow.
         wrist = target - unit(target - anatomy.shoulder) * 0.09
@@ -291,6 +384,7 @@ def _pose_arm(
         joints = posed_joints(body, forward_kinematics(body, rotations))[anatomy.side]
         root = joints[1 + ROOT]
         in_box = (root > low).all() and (root < high).all()
-        if in_box and inside_image(joints[1:], camera, config.image_margin) and not hand_enters_itself(body, joints):
-            return True
-    return False
+        inside = inside_image(moved(view, joints[1:]), camera, config.image_margin)
+        if in_box and inside.sum() >= config.min_inside and not hand_enters_itself(body, joints):
+            return root
+    return None

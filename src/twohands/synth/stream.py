@@ -65,6 +65,12 @@ class SyntheticStream:
         return replace(sample, image=compose_frame(frame, self.background(index)))
 
 
+def labelled(joints_m: np.ndarray, present: np.ndarray) -> np.ndarray:
+    """(2, 21) bool: joints (2, 21, 3) of present hands that are in front of the camera, so that they have a place in
+    its picture plane."""
+    return present[:, None] & (np.nan_to_num(joints_m[..., 2]) > 0.01)
+
+
 def hand_sample(frame: RenderedFrame, source: str) -> HandSample:
     """The labels of a frame; its image is the hands on black."""
     joints = frame.joints_m[:, 1:]
@@ -75,7 +81,7 @@ def hand_sample(frame: RenderedFrame, source: str) -> HandSample:
         present=present,
         joints_px=project(joints, frame.camera),
         joints_m=joints,
-        valid=np.repeat(present[:, None], joints.shape[1], axis=1),
+        valid=labelled(joints, present),
         labels=frame.part_labels,
         depth_m=frame.depth_m,
         source=source,

@@ -12,12 +12,22 @@ import numpy as np
 
 from twohands.errors import MissingExtraError, RendererError
 from twohands.synth.body import BONE_NAMES, load_asset
-from twohands.synth.render.shaders import COLOUR_FRAGMENT, LABEL_FRAGMENT, MAX_LIGHTS, VERTEX
+from twohands.synth.collision import capsules
+from twohands.synth.render.shaders import (
+    COLOUR_FRAGMENT,
+    COLOUR_VERTEX,
+    LABEL_FRAGMENT,
+    LABEL_VERTEX,
+    MAX_CAPSULES,
+    MAX_LIGHTS,
+)
 from twohands.synth.render.surface import surface, vertex_normals
 from twohands.synth.scene import SceneSpec
 from twohands.types import PinholeCamera, RenderedFrame
 
 NEAR_M, FAR_M = 0.01, 4.0
+NOWHERE = 1e6
+"""Stands for infinity in shaders."""
 
 
 def create_context() -> Any:
@@ -69,6 +79,7 @@ class RasterRenderer:
                 attributes.palmar[:, None],
                 attributes.flush[:, None],
                 attributes.nail,
+                attributes.along[:, None],
             ],
             axis=1,
         )
@@ -76,14 +87,14 @@ class RasterRenderer:
         self._shape_buffer = ctx.buffer(reserve=asset.n_vertices * 6 * 4)
         static_buffer = ctx.buffer(np.ascontiguousarray(static, np.float32).tobytes())
         index_buffer = ctx.buffer(attributes.faces.tobytes())
-        self._colour = ctx.program(vertex_shader=VERTEX, fragment_shader=COLOUR_FRAGMENT)
-        self._label = ctx.program(vertex_shader=VERTEX, fragment_shader=LABEL_FRAGMENT)
-        names = ("bones_a", "bones_b", "weights_a", "weights_b", "surface", "nail")
+        self._colour = ctx.program(vertex_shader=COLOUR_VERTEX, fragment_shader=COLOUR_FRAGMENT)
+        self._label = ctx.program(vertex_shader=LABEL_VERTEX, fragment_shader=LABEL_FRAGMENT)
+        names = ("bones_a", "bones_b", "weights_a", "weights_b", "surface", "nail", "along")
         self._arrays = []
         for program in (self._colour, self._label):
             content = [
                 (self._shape_buffer, "3f 3f", "position", "normal"),
-                (static_buffer, "4f 4f 4f 4f 4f 3f", *names),
+                (static_buffer, "4f 4f 4f 4f 4f 3f 1f", *names),
             ]
             self._arrays.append(ctx.vertex_array(program, content, index_buffer, skip_errors=True))
 
@@ -113,7 +124,11 @@ class RasterRenderer:
         for program in (self._colour, self._label):
             program["bones"].write(palette)
             program["projection"].write(projection)
+            program["sleeve_from"].value = min(scene.clothes.sleeve_from, NOWHERE)
+            program["glove_until"].value = max(scene.clothes.glove_until, -NOWHERE)
+            program["thickness"].value = scene.clothes.thickness_m
         self._write_look(scene)
+        self._write_occluders(scene)
 
         self._multisampled.use()
         self.ctx.clear(0.0, 0.0, 0.0, 0.0)
@@ -151,7 +166,11 @@ class RasterRenderer:
         # Lights stand in the body's metres, so that scaling the world leaves the picture as it is.
         program["light_position"].write((positions * scene.scale).astype("f4").tobytes())
         program["light_colour"].write((colours * scene.scale**2).astype("f4").tobytes())
+        clothes = scene.clothes
         for name, value in (
+            ("sleeve_albedo", clothes.sleeve_albedo),
+            ("glove_albedo", clothes.glove_albedo),
+            ("pattern", clothes.pattern),
             ("sky", light.sky),
             ("ground", light.ground),
             ("albedo", skin.albedo),
@@ -164,10 +183,20 @@ class RasterRenderer:
         program["roughness"].value = skin.roughness
         program["mottle"].value = skin.mottle
 
+    def _write_occluders(self, scene: SceneSpec) -> None:
+        starts, ends, radii = capsules(scene.body, scene.joints_m[scene.present])
+        buffers = np.zeros((2, MAX_CAPSULES, 4), np.float32)
+        count = len(radii)
+        buffers[0, :count] = np.concatenate([starts, radii[:, None] * scene.scale], axis=1)
+        buffers[1, :count, :3] = ends
+        self._colour["capsule_from"].write(buffers[0].tobytes())
+        self._colour["capsule_to"].write(buffers[1].tobytes())
+        self._colour["capsule_count"].value = count
+
 
 def _palette(scene: SceneSpec) -> bytes:
     """Bone transforms with the scene's scale, and the resting torso last, as mat4x3 columns."""
-    transforms = np.concatenate([scene.transforms, np.eye(3, 4)[None]]) * scene.scale
+    transforms = np.concatenate([scene.transforms, scene.view[None]]) * scene.scale
     if len(transforms) != len(BONE_NAMES) + 1:
         raise ValueError(f"expected {len(BONE_NAMES)} bones, got {len(transforms) - 1}")
     rows = np.zeros((len(transforms), 3, 4), np.float32)

@@ -23,6 +23,8 @@ class Surface:
         palmar: (V,) float32, 0 on the back of hand and arm, 1 on palm and finger pads.
         nail: (V, 3) float32, position on the last phalanx: along (0 at its joint, 1 at the tip), across
             (-1..1), dorsal (1 on the back); (-1, 0, 0) elsewhere.
+        along: (V,) float32, on the forearm's axis from the wrist (0) to the elbow (1) at rest, beyond 1 on the upper
+            arm and negative on the hand.
         flush: (V,) float32, 0..1 where blood shows: knuckles and fingertips.
         first_face: (2,) first triangle of the left and of the right arm in `faces`.
         faces: (F, 3) int32, the left arm's triangles before the right arm's.
@@ -31,6 +33,7 @@ class Surface:
     label: np.ndarray
     palmar: np.ndarray
     nail: np.ndarray
+    along: np.ndarray
     flush: np.ndarray
     first_face: tuple[int, int]
     faces: np.ndarray
@@ -57,10 +60,13 @@ def surface() -> Surface:
     palmar = np.zeros(asset.n_vertices)
     nail = np.tile([-1.0, 0.0, 0.0], (asset.n_vertices, 1))
     flush = np.zeros(asset.n_vertices)
+    along = np.zeros(asset.n_vertices)
+    upper = np.isin(strongest, [bone(name, side) for name in ("upperarm01", "upperarm02") for side in (0, 1)])
     for side in (0, 1):
         anatomy = ArmAnatomy(body, side)
         joints = body.joints[side]
         own = asset.side == side
+        along[own] = ((joints[1] - body.vertices) @ anatomy.forearm / anatomy.lower_length)[own]
         beyond_wrist = np.clip((body.vertices - joints[1]) @ anatomy.hand_axis / 0.07 + 0.75, 0.25, 1)
         facing = normals @ anatomy.palmar
         palmar[own] = (np.clip(facing / 0.5 + 0.5, 0, 1) * beyond_wrist)[own]
@@ -89,6 +95,7 @@ def surface() -> Surface:
         as32(part_labels(asset)),
         as32(palmar),
         as32(nail),
+        as32(np.where(upper, np.maximum(along, 1.0), along)),
         as32(flush),
         (0, int(left_face.sum())),
         faces.astype(np.int32),
