@@ -27,7 +27,7 @@ MIN_VIDEO_FPS, MIN_VIDEO_SECONDS = 8.0, 1.5
 MAX_START_SECONDS = 120.0
 """Videos are decoded from their first frame, for seeking is not exact; a clip starts no later than this."""
 MIN_FOLDER_FRAMES = 30
-SIMILAR_FRAMES = 14.0
+SIMILAR_FRAMES = 20.0
 """Mean difference of neighbouring frames' thumbnails, of 255, above which numbered pictures are not a film."""
 PANORAMA_ASPECT, PANORAMA_WIDTH = 2.0, 1024
 """A picture twice as wide as high (within 1 %) and at least this wide is taken for a 360-degree panorama."""
@@ -339,7 +339,7 @@ class _StillView:
         self.picture, self.size, self.scale, self.look = picture, size, scale, look
         room = (np.array([width, height]) - np.array(size) * scale) / 2
         self.room = np.maximum(room, 0.0)
-        pace = rng.uniform(0.03, 0.12) * size[0] * scale
+        pace = rng.uniform(0.10, 0.30) * size[0] * scale
         amplitude = self.room * 0.95
         self.path = _Wander(rng, amplitude, np.minimum(pace, amplitude), fps)
         self.breath = _Wander(rng, np.array([0.04]), np.array([0.02]), fps)
@@ -370,12 +370,11 @@ class _PanoramaView:
         self.head = _Head(rng, fps)
 
     def frame(self, index: int) -> np.ndarray:
-        height, width = self.picture.shape[:2]
-        rays = self.rays @ self.head.rotation(index).T.astype(np.float32)  # (H, W, 3)
-        x, y, z = rays[..., 0], rays[..., 1], rays[..., 2]
-        column = (np.arctan2(x, z) / np.float32(2 * np.pi) + np.float32(0.5)) * np.float32(width) - np.float32(0.5)
-        row = (np.arctan2(y, np.hypot(x, z)) / np.float32(np.pi) + np.float32(0.5)) * np.float32(height)
-        view = cv2.remap(self.picture, column, row - np.float32(0.5), cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+        height, width = (np.float32(n) for n in self.picture.shape[:2])
+        x, y, z = _turned(self.rays, self.head.rotation(index))
+        column = (np.arctan2(x, z) / np.float32(2 * np.pi) + np.float32(0.5)) * width - np.float32(0.5)
+        row = (np.arctan2(y, np.sqrt(x * x + z * z)) / np.float32(np.pi) + np.float32(0.5)) * height - np.float32(0.5)
+        view = cv2.remap(self.picture, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
         return self.look.apply(view)
 
 
@@ -391,33 +390,46 @@ class _Room:
         self.half = rng.uniform([1.5, 1.1, 1.5], [3.5, 1.6, 3.5]).astype(np.float32)
         amplitude = rng.uniform(0.1, 0.5, 3) * [1.0, 0.2, 1.0]
         self.place = _Wander(rng, amplitude, amplitude * 0.8, fps)
-        walls = ProceduralBackgrounds()
         size = self.TEXTURE
         shade = np.array([0.85, 0.95, 0.6, 1.1, 1.0, 0.9], np.float32) * rng.uniform(0.85, 1.1, 6)  # -x +x -y +y -z +z
-        tiles = [np.clip(walls.sample(rng, size, size) * s, 0, 255).astype(np.uint8) for s in shade]
+        tiles = [np.clip(_wall(rng, size) * s, 0, 255).astype(np.uint8) for s in shade]
         # Pixels are repeated around every tile, so that no tile bleeds into the next one.
         self.atlas = np.concatenate(
             [cv2.copyMakeBorder(tile, 2, 2, 2, 2, cv2.BORDER_REPLICATE) for tile in tiles], axis=1
         )
 
     def frame(self, index: int) -> np.ndarray:
-        rays = self.rays @ self.head.rotation(index).T.astype(np.float32)
+        rays = _turned(self.rays, self.head.rotation(index))
         place = self.place.at(index).astype(np.float32)
-        towards = np.where(rays < 0, np.float32(-1), np.float32(1))
-        safe = np.where(np.abs(rays) < 1e-6, np.float32(1e-6) * towards, rays)
-        reach = (towards * self.half - place) / safe  # (H, W, 3) distance to the wall of each axis
-        axis = reach.argmin(-1)
-        nearest = np.take_along_axis(reach, axis[..., None], -1)
-        hit = (place + rays * nearest) / self.half  # -1..1 on the walls
-        positive = np.take_along_axis(towards, axis[..., None], -1)[..., 0] > 0
-        across = np.where(axis == 0, hit[..., 2], hit[..., 0])
-        down = np.where(axis == 1, hit[..., 2], hit[..., 1])
-        size = np.float32(self.TEXTURE)
-        tile = (2 * axis + positive).astype(np.float32)
-        column = tile * (size + 4) + 2 + (np.clip(across, -1, 1) + 1) / 2 * size - np.float32(0.5)
-        row = 2 + (np.clip(down, -1, 1) + 1) / 2 * size - np.float32(0.5)
-        view = cv2.remap(self.atlas, column.astype(np.float32), row.astype(np.float32), cv2.INTER_LINEAR)
+        # Distance along the ray to the wall it meets on each axis, were there no other.
+        reach = [
+            np.where(ray < 0, -half - start, half - start) / np.where(ray == 0, np.float32(1e-9), ray)
+            for ray, half, start in zip(rays, self.half, place, strict=True)
+        ]
+        nearest = np.minimum(np.minimum(reach[0], reach[1]), reach[2])
+        on_x, on_y = reach[0] == nearest, reach[1] == nearest
+        # -1..1 on the wall: it is spanned by z and y, by x and z, or by x and y.
+        hit = [(start + ray * nearest) / half for ray, half, start in zip(rays, self.half, place, strict=True)]
+        across, down = np.where(on_x, hit[2], hit[0]), np.where(on_y & ~on_x, hit[2], hit[1])
+        positive = np.where(on_x, rays[0], np.where(on_y, rays[1], rays[2])) > 0
+        tile = 2 * np.where(on_x, 0, np.where(on_y, 1, 2)) + positive
+        half_size = np.float32(self.TEXTURE / 2)
+        column = tile.astype(np.float32) * (2 * half_size + 4) + (np.clip(across, -1, 1) + 1) * half_size
+        row = (np.clip(down, -1, 1) + 1) * half_size
+        shift = np.float32(2 - 0.5)  # the tile's rim, and from outer corners to pixel centres
+        view = cv2.remap(self.atlas, column + shift, row + shift, cv2.INTER_LINEAR)
         return self.look.apply(view)
+
+
+def _wall(rng: np.random.Generator, size: int) -> np.ndarray:
+    """(size, size, 3) uint8: a procedural picture with smaller ones hung on it, for detail at all scales."""
+    source = ProceduralBackgrounds()
+    wall = source.sample(rng, size, size).copy()
+    for _ in range(int(rng.integers(2, 7))):
+        width, height = (int(n) for n in rng.integers(size // 12, size // 3, 2))
+        x, y = int(rng.integers(0, size - width)), int(rng.integers(0, size - height))
+        wall[y : y + height, x : x + width] = source.sample(rng, width, height)
+    return wall
 
 
 class _Head:
@@ -438,12 +450,18 @@ class _Head:
         return about_y @ about_x @ about_z
 
 
-def _rays(camera: PinholeCamera) -> np.ndarray:
-    """(H, W, 3) float32 directions through the pixels' centres, z = 1."""
+def _rays(camera: PinholeCamera) -> tuple[np.ndarray, np.ndarray]:
+    """(1, W) x and (H, 1) y of the directions through the pixels' centres, z = 1; float32."""
     u = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
     v = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
-    x, y = np.meshgrid(u, v)
-    return np.stack([x, y, np.ones_like(x)], axis=-1).astype(np.float32)
+    return u.astype(np.float32)[None], v.astype(np.float32)[:, None]
+
+
+def _turned(rays: tuple[np.ndarray, np.ndarray], rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """x, y, z (H, W) of the rays after a rotation (3, 3)."""
+    u, v = rays
+    x, y, z = (row[0] * u + (row[1] * v + row[2]) for row in rotation.astype(np.float32))
+    return x, y, z
 
 
 def numbered(folder: Path) -> list[Path]:

@@ -55,7 +55,8 @@ HEAD_CENTRE, HEAD_RADIUS = np.array([0.0, 0.0, -0.09]), 0.13
 eyes."""
 ROOT_BEYOND_WRIST = 0.09
 """Keys are drawn by root joint but solved by wrist, which lies about this much nearer to the shoulder."""
-KEY_TRIES, PATH_TRIES, PLAN_TRIES = 60, 12, 3000
+KEY_TRIES, PATH_TRIES, START_TRIES, SETBACKS = 60, 12, 40, 200
+"""Draws per key, keys per movement, first keys, and movements taken back, before giving up."""
 _SEGMENTS = np.array([(0, 1), (1, 10)] + [(2 + 4 * f + i, 3 + 4 * f + i) for f in range(5) for i in range(3)])
 """Forearm, palm, phalanges, as pairs of 22-joint indices."""
 
@@ -300,7 +301,7 @@ class _Planner:
                 self.motion = longer
                 continue
             failures += 1
-            if failures > PLAN_TRIES // PATH_TRIES:
+            if failures > SETBACKS:
                 raise self._no_motion()
             if len(self.motion.starts):
                 self.motion = self.motion.without_last()
@@ -313,7 +314,7 @@ class _Planner:
 
     def _restart(self) -> None:
         """Draws the first key, in the picture."""
-        for _ in range(PLAN_TRIES):
+        for _ in range(START_TRIES):
             key = self._draw_key(None, away=False)
             if key is not None:
                 self.motion = replace(self.motion, keys=key[None])
