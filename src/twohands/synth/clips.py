@@ -382,15 +382,13 @@ class _Room:
     """A head that turns and moves in a box-shaped room with six procedural walls: a background with parallax where no
     folder is given."""
 
-    TEXTURE = 768
-
     def __init__(self, rng: np.random.Generator, fps: float, camera: PinholeCamera, look: _Look) -> None:
         self.rays, self.look = _rays(camera), look
         self.head = _Head(rng, fps)
         self.half = rng.uniform([1.5, 1.1, 1.5], [3.5, 1.6, 3.5]).astype(np.float32)
         amplitude = rng.uniform(0.1, 0.5, 3) * [1.0, 0.2, 1.0]
         self.place = _Wander(rng, amplitude, amplitude * 0.8, fps)
-        size = self.TEXTURE
+        size = max(int(0.8 * camera.width), 32)
         shade = np.array([0.85, 0.95, 0.6, 1.1, 1.0, 0.9], np.float32) * rng.uniform(0.85, 1.1, 6)  # -x +x -y +y -z +z
         tiles = [np.clip(_wall(rng, size) * s, 0, 255).astype(np.uint8) for s in shade]
         # Pixels are repeated around every tile, so that no tile bleeds into the next one.
@@ -413,7 +411,7 @@ class _Room:
         across, down = np.where(on_x, hit[2], hit[0]), np.where(on_y & ~on_x, hit[2], hit[1])
         positive = np.where(on_x, rays[0], np.where(on_y, rays[1], rays[2])) > 0
         tile = 2 * np.where(on_x, 0, np.where(on_y, 1, 2)) + positive
-        half_size = np.float32(self.TEXTURE / 2)
+        half_size = np.float32(self.atlas.shape[0] / 2 - 2)
         column = tile.astype(np.float32) * (2 * half_size + 4) + (np.clip(across, -1, 1) + 1) * half_size
         row = (np.clip(down, -1, 1) + 1) * half_size
         shift = np.float32(2 - 0.5)  # the tile's rim, and from outer corners to pixel centres
