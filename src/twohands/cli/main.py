@@ -59,6 +59,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"twohands {__version__}")
         return 0
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # its decoders' complaints come out as our one line
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     try:
         return _run_verb(words[0], words[1:])
     except TwoHandsError as error:

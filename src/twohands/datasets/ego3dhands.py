@@ -1,4 +1,4 @@
-"""Reader of the Ego3DHands layout, for the authors' data and for ours alike.
+"""Reader of the Ego3DHands layout, static and dynamic, for the authors' data and for ours alike.
 
 Source: SPEC 1.1 (files) and 1.2 (folders). The names of the published folders are undocumented, so any folder that
 contains `location_2d.npy` counts as an instance, wherever it lies below the root.
@@ -115,6 +115,19 @@ class Ego3DHands:
 
     def __getitem__(self, index: int) -> HandSample:
         return read_instance(self.paths[index]).to_sample(self.source(index))
+
+    @property
+    def sequences(self) -> dict[str, tuple[int, ...]]:
+        """Frames of every sequence of a dynamic set: the parent folder below the root -> indices, in order of time.
+
+        In a static set the only "sequence" is the folder of all instances ("." if it is the root). Frame order is the
+        natural order of the folders' names (SPEC 1.2).
+        """
+        found: dict[str, list[int]] = {}
+        for index, path in enumerate(self.paths):
+            parent = "." if path == self.root else path.parent.relative_to(self.root).as_posix()
+            found.setdefault(parent, []).append(index)
+        return {name: tuple(indices) for name, indices in found.items()}
 
     def source(self, index: int) -> str:
         """Identifies an instance: its path below the root, or its own name if it is the root."""

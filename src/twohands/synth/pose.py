@@ -37,6 +37,38 @@ class HandAngles:
     thumb: np.ndarray
     fingers: np.ndarray
 
+    def as_vector(self) -> np.ndarray:
+        """(24,) all angles in the order of the attributes, fingers from index to little."""
+        arm = [self.pronation, self.wrist_flexion, self.wrist_deviation, self.cup]
+        return np.concatenate([arm, self.thumb, self.fingers.ravel()])
+
+    @classmethod
+    def from_vector(cls, vector: np.ndarray) -> HandAngles:
+        """Undoes `as_vector`."""
+        arm = (float(angle) for angle in vector[:4])
+        return cls(*arm, thumb=vector[4:8], fingers=vector[8:24].reshape(4, 4))
+
+
+ANGLE_LIMITS = np.radians(
+    [
+        (-75, 75),  # pronation
+        (-60, 60),  # wrist flexion
+        (-28, 20),  # wrist deviation
+        (0, 14),  # cup
+        (-2, 56),  # thumb: radial, palmar, two flexions
+        (-4, 54),
+        (0, 50),
+        (-12, 65),
+        *[
+            limits
+            for spread in ((-12, 20), (-10, 12), (-15, 11), (-22, 14))  # index to little
+            for limits in (spread, (-19, 83), (4, 102), (-8, 88))
+        ],
+    ]
+)
+"""(24, 2) smallest and largest value of every angle in the order of `HandAngles.as_vector`, radians: the span of
+`scene.sample_angles`, its Gaussian parts cut at about three standard deviations."""
+
 
 def rotation_about(axis: np.ndarray, angle: float) -> np.ndarray:
     """(3, 3) rotation by `angle` radians about the unit vector `axis`, right-handed (Rodrigues' formula)."""
