@@ -390,7 +390,7 @@ class _Planner:
         low, high = _box(self.config, self.arm.side)
         root = joints[1 + ROOT]
         in_box = bool((root > low).all() and (root < high).all())
-        return in_box and inside_image(joints[1:], self.camera, self.config.image_margin)
+        return in_box and bool(inside_image(joints[1:], self.camera, self.config.image_margin).all())
 
     def _wrist_in_box(self) -> np.ndarray:
         target = self.rng.uniform(*_box(self.config, self.arm.side))

@@ -28,7 +28,7 @@ from twohands.synth.motion import Arm, HandMotion, MotionConfig, in_picture, pla
 from twohands.synth.pose import ArmAnatomy
 from twohands.synth.production import claim_folder, in_processes
 from twohands.synth.render.raster import RasterRenderer
-from twohands.synth.scene import SceneSpec, sample_lighting, sample_shape, sample_skin
+from twohands.synth.scene import SceneSpec, sample_clothes, sample_lighting, sample_shape, sample_skin
 from twohands.synth.writer import encode_instance, write_instance
 from twohands.types import PinholeCamera, RenderedFrame
 
@@ -107,6 +107,7 @@ class Sequence:
         self.shape = sample_shape(config, rng)
         self.skin, self.lighting = sample_skin(config, rng), sample_lighting(config, rng)
         self.camera = PinholeCamera.ego3dhands(config.width, config.height)
+        self.clothes = sample_clothes(config, rng)
         body = load_asset().body(self.shape)
         self.scale = 1.0 if config.hand_length is None else config.hand_length / body.hand_length_m
         self._body = body
@@ -161,6 +162,7 @@ class Sequence:
             skin=self.skin,
             lighting=self.lighting,
             index=frame,
+            clothes=self.clothes,
         )
 
     def clip(self, source: ClipSource) -> Clip:
