@@ -29,6 +29,7 @@ from twohands.synth.scene import sample_angles
 from twohands.types import PinholeCamera
 
 CAMERA = PinholeCamera.ego3dhands(480, 270)
+AHEAD = np.eye(3, 4)
 MOTION = MotionConfig(leave_rate=0.15)
 TIMES = np.arange(75) / 30
 
@@ -45,7 +46,7 @@ def arms():
 
 @pytest.fixture(scope="module")
 def hands(arms):
-    return plan_motion(SynthConfig(), MOTION, arms, CAMERA, TIMES, np.random.default_rng(4))
+    return plan_motion(SynthConfig(), MOTION, arms, CAMERA, AHEAD, TIMES, np.random.default_rng(4))
 
 
 @pytest.fixture(scope="module")
@@ -121,7 +122,7 @@ def test_speeds_are_human(hands):
 
 def test_slower_bounds_make_slower_hands(arms):
     slow = MotionConfig(max_speed=0.4, max_angular_speed=100)
-    motion, _ = plan_motion(SynthConfig(), slow, arms, CAMERA, TIMES[:30], np.random.default_rng(1))
+    motion, _ = plan_motion(SynthConfig(), slow, arms, CAMERA, AHEAD, TIMES[:30], np.random.default_rng(1))
     speed = np.linalg.norm(np.diff(motion.states(np.arange(0, 1, 1e-3))[:, WRIST_PART], axis=0), axis=1) / 1e-3
     assert speed.max() <= 0.4
 
@@ -140,7 +141,7 @@ def test_nothing_enters_anything(joints):
 
 def test_hands_leave_and_return(arms):
     motion, times = MotionConfig(leave_rate=0.8, duration=(0.35, 0.4), pause=(0.01, 0.02)), np.arange(30) / 10
-    left, _ = plan_motion(SynthConfig(), motion, arms, CAMERA, times, np.random.default_rng(0))
+    left, _ = plan_motion(SynthConfig(), motion, arms, CAMERA, AHEAD, times, np.random.default_rng(0))
     seen = [in_picture(arms[LEFT].joints(state)[1:], CAMERA) for state in left.states(times)]
     changes = np.diff(np.array(seen, int))
     assert seen[0] and -1 in changes
@@ -157,7 +158,7 @@ def test_hands_move_independently(hands):
 def test_same_generator_same_motion():
     times = TIMES[:20]
     one, two, other = (
-        plan_motion(SynthConfig(), MOTION, make_arms(), CAMERA, times, np.random.default_rng(seed))
+        plan_motion(SynthConfig(), MOTION, make_arms(), CAMERA, AHEAD, times, np.random.default_rng(seed))
         for seed in (4, 4, 5)
     )
     for side in (LEFT, RIGHT):
@@ -209,7 +210,7 @@ def test_random_angles_lie_within_the_limits_but_for_their_tails():
 def test_impossible_box_is_one_clear_error(arms):
     config = SynthConfig(box_min=(-0.2, -0.1, 1.5), box_max=(0.2, 0.1, 1.6))
     with pytest.raises(InputError, match="left hand fits the hand box"):
-        plan_motion(config, MotionConfig(), arms, CAMERA, TIMES[:3], np.random.default_rng(0))
+        plan_motion(config, MotionConfig(), arms, CAMERA, AHEAD, TIMES[:3], np.random.default_rng(0))
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """Dynamic sets on disk: readable as any other, resumable, the same bytes with any number of workers."""
 
+import dataclasses
 import json
 import shutil
 
@@ -11,9 +12,11 @@ from twohands.datasets.ego3dhands import Ego3DHands, read_instance
 from twohands.datasets.inspect import inspect_dataset
 from twohands.errors import InputError
 from twohands.geometry.camera import project
-from twohands.synth.config import SynthConfig
+from twohands.synth.body import load_asset, posed_joints
+from twohands.synth.config import WILD, SynthConfig
 from twohands.synth.motion import MotionConfig
 from twohands.synth.sequences import Sequence, SequenceRenderer, SequenceSet, generate_sequences
+from twohands.types import PinholeCamera
 
 SET = SequenceSet(SynthConfig(width=160, height=90), seed=6, sequences=2, frames=5)
 
@@ -123,3 +126,15 @@ def test_sequence_file_and_manifest(written):
 def test_nonsense_is_refused(values):
     with pytest.raises(InputError, match=next(iter(values))):
         SequenceSet(**values)
+
+
+def test_a_wild_sequence_keeps_its_camera_and_clothes():
+    wild = dataclasses.replace(WILD, width=160, height=90, sleeves=1.0)
+    sequence = Sequence(SequenceSet(wild, MotionConfig(), seed=3, sequences=1, frames=4), 0)
+    first, last = sequence.scene(0), sequence.scene(3)
+    assert first.camera == last.camera != PinholeCamera.ego3dhands(160, 90)
+    assert first.clothes is last.clothes and np.isfinite(first.clothes.sleeve_from)
+    np.testing.assert_array_equal(first.view, last.view)
+    for scene in (first, last):  # labels go with what is drawn
+        posed = posed_joints(load_asset().body(scene.shape), scene.transforms)[scene.present] * scene.scale
+        np.testing.assert_allclose(posed, scene.joints_m[scene.present], atol=1e-9)

@@ -36,7 +36,7 @@ from twohands.synth.body import BONES_PER_SIDE, Body, forward_kinematics, posed_
 from twohands.synth.collision import hand_enters_itself, hands_collide, segment_distance
 from twohands.synth.config import SynthConfig
 from twohands.synth.pose import ANGLE_LIMITS, ArmAnatomy, HandAngles, unit
-from twohands.synth.scene import inside_image, sample_angles
+from twohands.synth.scene import inside_image, moved, sample_angles
 from twohands.types import PinholeCamera
 
 WRIST_PART, SWIVEL, ANGLES = slice(0, 3), 3, slice(4, 28)
@@ -227,6 +227,7 @@ def plan_motion(
     motion: MotionConfig,
     arms: tuple[Arm, Arm],
     camera: PinholeCamera,
+    view: np.ndarray,
     times: np.ndarray,
     rng: np.random.Generator,
 ) -> tuple[HandMotion, HandMotion]:
@@ -237,6 +238,7 @@ def plan_motion(
         motion: distributions.
         arms: of one person, (LEFT, RIGHT).
         camera: who is out of the picture is judged with it.
+        view: (3, 4) from the frame between the eyes to the camera's (`SceneSpec.view`).
         times: (N,) seconds, rising from 0: the frames.
         rng: the only source of randomness.
 
@@ -246,9 +248,9 @@ def plan_motion(
     Raises:
         InputError: no such motion was found with this configuration.
     """
-    left = _Planner(config, motion, arms[LEFT], camera, times, rng, None)
+    left = _Planner(config, motion, arms[LEFT], camera, view, times, rng, None)
     left.plan()
-    right = _Planner(config, motion, arms[RIGHT], camera, times, rng, left.joints())
+    right = _Planner(config, motion, arms[RIGHT], camera, view, times, rng, left.joints())
     right.plan()
     return left.motion, right.motion
 
@@ -262,13 +264,14 @@ class _Planner:
         motion: MotionConfig,
         arm: Arm,
         camera: PinholeCamera,
+        view: np.ndarray,
         times: np.ndarray,
         rng: np.random.Generator,
         other: np.ndarray | None,
     ) -> None:
-        self.config, self.settings, self.arm, self.camera = config, motion, arm, camera
+        self.config, self.settings, self.arm, self.camera, self.view = config, motion, arm, camera, view
         self.times, self.rng, self.other = times, rng, other
-        self.other_seen = None if other is None else [in_picture(joints[1:], camera) for joints in other]
+        self.other_seen = None if other is None else [in_picture(moved(view, joints[1:]), camera) for joints in other]
         amplitude = np.full(STATE_SIZE, np.radians(motion.angular_drift))
         amplitude[WRIST_PART] = motion.drift / np.sqrt(3)
         share = rng.dirichlet(np.full(DRIFT_WAVES, 2.0), STATE_SIZE).T  # (3, 28), sums to 1
@@ -380,7 +383,7 @@ class _Planner:
             joints = self.arm.joints(key)
             if joints is None or hand_enters_itself(self.arm.body, joints):
                 continue
-            if away and not in_picture(joints, self.camera):
+            if away and not in_picture(moved(self.view, joints), self.camera):
                 return key
             if not away and self._well_placed(joints):
                 return key
@@ -390,7 +393,10 @@ class _Planner:
         low, high = _box(self.config, self.arm.side)
         root = joints[1 + ROOT]
         in_box = bool((root > low).all() and (root < high).all())
-        return in_box and bool(inside_image(joints[1:], self.camera, self.config.image_margin).all())
+        return in_box and bool(
+            inside_image(moved(self.view, joints[1:]), self.camera, self.config.image_margin).sum()
+            >= self.config.min_inside
+        )
 
     def _wrist_in_box(self) -> np.ndarray:
         target = self.rng.uniform(*_box(self.config, self.arm.side))
@@ -416,7 +422,7 @@ class _Planner:
         joints = self.arm.joints(state)
         if joints is None or enters_head(joints) or hand_enters_itself(self.arm.body, joints):
             return False
-        seen = in_picture(joints[1:], self.camera)
+        seen = in_picture(moved(self.view, joints[1:]), self.camera)
         if seen and joints[1:, 2].min() < 0.05:
             return False
         if self.other is None or self.other_seen is None:

@@ -263,6 +263,11 @@ def moved(view: np.ndarray, points: np.ndarray) -> np.ndarray:
     return points @ view[:, :3].T + view[:, 3]
 
 
+def viewed(view: np.ndarray, transforms: np.ndarray) -> np.ndarray:
+    """Transforms (N, 3, 4), each followed by `view` (3, 4)."""
+    return np.concatenate([view[:, :3] @ transforms[..., :3], moved(view, transforms[..., 3])[..., None]], axis=-1)
+
+
 def sample_clothes(config: SynthConfig, rng: np.random.Generator) -> Clothes:
     """Sleeves and gloves in any colour, mostly muted, plain or striped."""
     has_sleeves, has_gloves = rng.random(2) < [config.sleeves, config.gloves]
@@ -336,7 +341,7 @@ def sample_scene(config: SynthConfig, seed: int, index: int) -> SceneSpec:
     return SceneSpec(
         camera,
         shape,
-        np.concatenate([view[:, :3] @ transforms[..., :3], moved(view, transforms[..., 3])[..., None]], axis=-1),
+        viewed(view, transforms),
         scale,
         joints_m,
         present,

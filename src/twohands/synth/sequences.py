@@ -10,7 +10,7 @@ import json
 import os
 import shutil
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 
@@ -28,9 +28,18 @@ from twohands.synth.motion import Arm, HandMotion, MotionConfig, in_picture, pla
 from twohands.synth.pose import ArmAnatomy
 from twohands.synth.production import claim_folder, in_processes
 from twohands.synth.render.raster import RasterRenderer
-from twohands.synth.scene import SceneSpec, sample_clothes, sample_lighting, sample_shape, sample_skin
+from twohands.synth.scene import (
+    SceneSpec,
+    moved,
+    sample_camera,
+    sample_clothes,
+    sample_lighting,
+    sample_shape,
+    sample_skin,
+    viewed,
+)
 from twohands.synth.writer import encode_instance, write_instance
-from twohands.types import PinholeCamera, RenderedFrame
+from twohands.types import RenderedFrame
 
 SEQUENCE_FILE = "sequence.json"
 _MOTION_STREAM, _LOOK_STREAM, _CLIP_STREAM = 1 << 42, 1 << 43, 1 << 45
@@ -106,8 +115,9 @@ class Sequence:
         rng = _rng(sequence_set.seed, _LOOK_STREAM, index)
         self.shape = sample_shape(config, rng)
         self.skin, self.lighting = sample_skin(config, rng), sample_lighting(config, rng)
-        self.camera = PinholeCamera.ego3dhands(config.width, config.height)
         self.clothes = sample_clothes(config, rng)
+        self.camera, self.view = sample_camera(config, rng)
+        self.lighting = replace(self.lighting, positions=moved(self.view, self.lighting.positions))
         body = load_asset().body(self.shape)
         self.scale = 1.0 if config.hand_length is None else config.hand_length / body.hand_length_m
         self._body = body
@@ -130,7 +140,7 @@ class Sequence:
     def motion(self) -> tuple[HandMotion, HandMotion]:
         """(LEFT, RIGHT), planned when first needed; some seconds for 500 frames."""
         rng = _rng(self.set.seed, _MOTION_STREAM, self.index)
-        return plan_motion(self.set.config, self.set.motion, self.arms, self.camera, self.times, rng)
+        return plan_motion(self.set.config, self.set.motion, self.arms, self.camera, self.view, self.times, rng)
 
     def scene(self, frame: int) -> SceneSpec:
         """What to render for one frame; nothing has to be rendered before it.
@@ -151,17 +161,19 @@ class Sequence:
             rotations[first : first + BONES_PER_SIDE] = posed
         transforms = forward_kinematics(self._body, rotations)
         joints = posed_joints(self._body, transforms)
-        present = np.array([in_picture(hand[1:], self.camera) for hand in joints])
+        seen = moved(self.view, joints)
+        present = np.array([in_picture(hand[1:], self.camera) for hand in seen])
         return SceneSpec(
             camera=self.camera,
             shape=self.shape,
-            transforms=transforms,
+            transforms=viewed(self.view, transforms),
             scale=self.scale,
-            joints_m=np.where(present[:, None, None], joints * self.scale, np.nan),
+            joints_m=np.where(present[:, None, None], seen * self.scale, np.nan),
             present=present,
             skin=self.skin,
             lighting=self.lighting,
             index=frame,
+            view=self.view,
             clothes=self.clothes,
         )
 
