@@ -1,21 +1,30 @@
-"""Render labelled synthetic data: both hands, egocentric view, in the Ego3DHands layout.
+"""Render labelled synthetic data: both hands, egocentric view, in the Ego3DHands layout or as tar shards.
 
-Same seed, same bytes, whatever the number of workers. A rerun writes only what is missing.
+Same seed, same bytes, whatever the number of workers. A run may be killed at any moment; the same command goes on and
+writes only what is missing. Kinds of sets and splits never share scenes, even with the same seed.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import os
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from twohands.cli.progress import progress_of
+from twohands.errors import InputError
 from twohands.synth.config import SynthConfig
 
+if TYPE_CHECKING:
+    from twohands.synth.executors import Executor
+    from twohands.synth.production import Outcome, Plan, Production
+
 FRAME_SIZE = (480, 270)
+SHOWN_NOTES = 20
 
 
 @dataclass(frozen=True)
@@ -30,9 +39,15 @@ class GenerateArgs:
     count: int = 100
     """Number of instances."""
     seed: int = 0
-    """Seed of the set."""
+    """Seed of the set, 0 or larger."""
+    split: Literal["train", "val", "test"] = "train"
+    """Part of the set; splits share no scene, whatever their seeds. Give each its own folder of backgrounds."""
     backgrounds: Path | None = None
     """Folder of background pictures; procedural ones if not given."""
+    format: Literal["ego3dhands", "webdataset"] = "ego3dhands"
+    """ego3dhands: a folder per instance, as the official data; webdataset: tar shards."""
+    shard_size: int = 1000
+    """Instances per tar shard."""
     workers: int = 0
     """Processes; 0 takes all cores."""
     config: SynthConfig = field(default_factory=SynthConfig)
@@ -40,38 +55,73 @@ class GenerateArgs:
 
 
 def run(args: GenerateArgs) -> int:
-    """Generate, with a progress bar."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    from twohands.synth.cache import build_cache
-    from twohands.synth.generate import StaticSet, generate_static
-
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    """Generate, with progress, rate and time left."""
+    if args.workers < 0:
+        raise InputError(f"--workers must be 0 (all cores) or more, got {args.workers}")
     workers = args.workers or os.cpu_count() or 1
-    if args.kind == "frames":
-        config = dataclasses.replace(args.config, width=FRAME_SIZE[0], height=FRAME_SIZE[1])
-        with Progress(*columns) as bar:
-            task = bar.add_task("frames", total=args.count)
-            build_cache(
-                args.out,
-                config,
-                args.seed,
-                args.count,
-                workers=workers,
-                progress=lambda done, _: bar.update(task, completed=done),
-            )
-        print(f"{args.count} frames in {args.out}; train on them with twohands train STAGE --data {args.out}")
-        return 0
-    static_set = StaticSet(args.config, args.seed, args.count, args.backgrounds)
+    return _frames(args, workers) if args.kind == "frames" else _static(args, workers)
+
+
+def _static(args: GenerateArgs, workers: int) -> int:
+    from twohands.synth.executors import LocalProcesses
+    from twohands.synth.generate import StaticSet
+
     if args.backgrounds is None:
         print("backgrounds: procedural; give photographs with --backgrounds FOLDER")
-    with Progress(*columns) as bar:
-        task = bar.add_task("instances", total=args.count)
-        written = generate_static(
-            static_set,
-            args.out,
-            workers=workers,
-            progress=lambda done, _: bar.update(task, completed=done),
-        )
-    print(f"{written} instances written to {args.out} ({args.count - written} were there already)")
+    static_set = StaticSet(args.config, args.seed, args.count, args.backgrounds, args.split)
+    report(write(static_set, args, LocalProcesses(workers)), args)
+    return 0
+
+
+def write(production: Production, args: GenerateArgs, executor: Executor) -> Outcome:
+    """Carries out a production run with progress; says how to go on where it is interrupted."""
+    from twohands.synth.production import produce
+
+    with progress_of("instances") as progress:
+
+        def announce(plan: Plan) -> None:
+            print(describe(plan))
+            progress(plan.there, plan.there + plan.missing)
+
+        try:
+            return produce(
+                production,
+                args.out,
+                executor,
+                layout=args.format,
+                shard_size=args.shard_size,
+                announce=announce,
+                progress=progress,
+            )
+        except KeyboardInterrupt:
+            print(f"{args.out} is sound as far as it goes: run the same command again to go on", file=sys.stderr)
+            raise
+
+
+def describe(plan: Plan) -> str:
+    """One line: what is there, what is to be made, what room it takes."""
+    size = f"about {plan.bytes_needed / 1e9:.2f} GB, {plan.bytes_free / 1e9:.1f} GB free"
+    return f"{plan.missing} instances to make ({size}), {plan.there} are there already"
+
+
+def report(outcome: Outcome, args: GenerateArgs) -> None:
+    """What was written, and what the workers had to say."""
+    print(f"{outcome.written} instances written to {args.out} ({args.count - outcome.written} were there already)")
+    if outcome.notes:
+        print(f"{len(outcome.notes)} files were skipped:")
+        for note in outcome.notes[:SHOWN_NOTES]:
+            print(f"  {note}")
+        if len(outcome.notes) > SHOWN_NOTES:
+            print(f"  ... and {len(outcome.notes) - SHOWN_NOTES} more")
+
+
+def _frames(args: GenerateArgs, workers: int) -> int:
+    from twohands.synth.cache import build_cache
+
+    if args.backgrounds or args.split != "train" or args.format != "ego3dhands":
+        raise InputError("frames have no background, split or format: leave --backgrounds, --split and --format out")
+    config = dataclasses.replace(args.config, width=FRAME_SIZE[0], height=FRAME_SIZE[1])
+    with progress_of("frames") as progress:
+        build_cache(args.out, config, args.seed, args.count, workers=workers, progress=progress)
+    print(f"{args.count} frames in {args.out}; train on them with twohands train STAGE --data {args.out}")
     return 0
