@@ -31,13 +31,13 @@ def command(out: Path, count: int, layout: str) -> list[str]:
     return [sys.executable, "-m", "twohands.cli.main", "generate", "static", "--out", str(out), *options, *size]
 
 
-def children(pid: int) -> list[int]:
-    """Process ids of a process's children, from /proc."""
+def workers_of(pid: int) -> list[int]:
+    """Process ids of a run's workers, from /proc; multiprocessing's own helper process is none."""
     try:
-        text = Path(f"/proc/{pid}/task/{pid}/children").read_text()
+        children = [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+        return [child for child in children if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()]
     except OSError:
         return []
-    return [int(word) for word in text.split()]
 
 
 def kill_at_random(arguments: list[str], out: Path, rng: random.Random) -> str:
@@ -55,7 +55,7 @@ def kill_at_random(arguments: list[str], out: Path, rng: random.Random) -> str:
         time.sleep(rng.uniform(0, 0.3))
     if run.poll() is not None:
         return "finished"
-    family = children(run.pid)
+    family = workers_of(run.pid)
     victim = rng.choice(["writer", "all", "worker"])
     if victim == "worker" and family:
         os.kill(rng.choice(family), signal.SIGKILL)
