@@ -7,6 +7,7 @@ writes only what is missing. Kinds of sets and splits never share scenes, even w
 from __future__ import annotations
 
 import dataclasses
+import importlib.util
 import os
 import sys
 from dataclasses import dataclass, field
@@ -16,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from twohands.cli.progress import progress_of
-from twohands.errors import InputError
+from twohands.errors import InputError, MissingExtraError
 from twohands.synth.config import SynthConfig
 
 if TYPE_CHECKING:
@@ -50,6 +51,10 @@ class GenerateArgs:
     """Instances per tar shard."""
     workers: int = 0
     """Processes; 0 takes all cores."""
+    engine: Literal["local", "ray"] = "local"
+    """Who renders a static set: processes of this machine, or a Ray cluster (extra 'cluster')."""
+    ray_address: str | None = None
+    """Of a running Ray cluster, "auto" for the one of this machine; without it, one is started here."""
     config: SynthConfig = field(default_factory=SynthConfig)
     """Distributions of the scenes."""
 
@@ -58,18 +63,34 @@ def run(args: GenerateArgs) -> int:
     """Generate, with progress, rate and time left."""
     if args.workers < 0:
         raise InputError(f"--workers must be 0 (all cores) or more, got {args.workers}")
-    workers = args.workers or os.cpu_count() or 1
-    return _frames(args, workers) if args.kind == "frames" else _static(args, workers)
+    return _frames(args) if args.kind == "frames" else _static(args)
 
 
-def _static(args: GenerateArgs, workers: int) -> int:
+def executor_of(args: GenerateArgs) -> Executor:
+    """Who does the work.
+
+    Raises:
+        MissingExtraError: Ray is asked for and not installed.
+    """
+    if args.engine == "ray":
+        from twohands.synth.ray_cluster import RayCluster
+
+        if importlib.util.find_spec("ray") is None:
+            raise MissingExtraError("--engine ray", "cluster")
+        return RayCluster(args.ray_address, args.workers)
+
     from twohands.synth.executors import LocalProcesses
+
+    return LocalProcesses(args.workers or os.cpu_count() or 1)
+
+
+def _static(args: GenerateArgs) -> int:
     from twohands.synth.generate import StaticSet
 
     if args.backgrounds is None:
         print("backgrounds: procedural; give photographs with --backgrounds FOLDER")
     static_set = StaticSet(args.config, args.seed, args.count, args.backgrounds, args.split)
-    report(write(static_set, args, LocalProcesses(workers)), args)
+    report(write(static_set, args, executor_of(args)), args)
     return 0
 
 
@@ -115,13 +136,17 @@ def report(outcome: Outcome, args: GenerateArgs) -> None:
             print(f"  ... and {len(outcome.notes) - SHOWN_NOTES} more")
 
 
-def _frames(args: GenerateArgs, workers: int) -> int:
+def _frames(args: GenerateArgs) -> int:
     from twohands.synth.cache import build_cache
 
-    if args.backgrounds or args.split != "train" or args.format != "ego3dhands":
-        raise InputError("frames have no background, split or format: leave --backgrounds, --split and --format out")
+    if args.backgrounds or args.split != "train" or args.format != "ego3dhands" or args.engine != "local":
+        raise InputError(
+            "frames have no background, split or format: leave --backgrounds, --split, --format and --engine out"
+        )
     config = dataclasses.replace(args.config, width=FRAME_SIZE[0], height=FRAME_SIZE[1])
     with progress_of("frames") as progress:
-        build_cache(args.out, config, args.seed, args.count, workers=workers, progress=progress)
+        build_cache(
+            args.out, config, args.seed, args.count, workers=args.workers or os.cpu_count() or 1, progress=progress
+        )
     print(f"{args.count} frames in {args.out}; train on them with twohands train STAGE --data {args.out}")
     return 0
