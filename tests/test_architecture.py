@@ -14,7 +14,7 @@ import twohands
 PACKAGE = Path(twohands.__file__).parent
 
 STOREYS = [
-    {"types", "skeleton", "errors", "ego3dhands_format"},
+    {"types", "skeleton", "errors", "ego3dhands_format", "instance_index"},
     {"geometry"},
     {"synth", "datasets", "models", "evaluation"},
     {"training", "inference"},
@@ -35,6 +35,7 @@ EXTRAS = {
     "moderngl": {"synth"},
     "anny": {"synth"},
     "matplotlib": {"visualization"},
+    "ray": set(),
 }
 """Optional packages, and the rooms whose modules may need them to be imported; elsewhere only inside functions."""
 

@@ -1,5 +1,7 @@
 """Errors a user can mend. Every message says what was expected, what was found, and the remedy."""
 
+from __future__ import annotations
+
 
 class TwoHandsError(Exception):
     """Base of every expected failure. The command line prints it as one line and exits with code 2."""
@@ -27,7 +29,11 @@ class MissingExtraError(TwoHandsError):
 
     def __init__(self, feature: str, extra: str) -> None:
         super().__init__(f"{feature} needs the extra '{extra}': pip install 'twohands[{extra}]'")
-        self.extra = extra
+        self.feature, self.extra = feature, extra
+
+    def __reduce__(self) -> tuple[type[MissingExtraError], tuple[str, str]]:
+        """Pickled by its arguments: worker processes hand their errors over."""
+        return type(self), (self.feature, self.extra)
 
 
 class RendererError(TwoHandsError):

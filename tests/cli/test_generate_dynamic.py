@@ -10,10 +10,10 @@ def test_writes_a_sequence_and_says_so(tmp_path, capsys):
     arguments = ["generate", "dynamic", "--out", str(tmp_path / "set"), "--seed", "2", *SMALL]
     assert main(arguments) == 0
     said = capsys.readouterr().out
-    assert "procedural rooms" in said and "2 frames written" in said
+    assert "procedural rooms" in said and "2 instances written" in said
     assert Ego3DHands(tmp_path / "set").sequences == {"00000": (0, 1)}
     assert main(arguments) == 0
-    assert "0 frames written" in capsys.readouterr().out
+    assert "0 instances written" in capsys.readouterr().out
 
 
 def test_users_mistakes_are_one_line(tmp_path, capsys):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from twohands.errors import InputError
-from twohands.synth.backgrounds import BackgroundFolder, MixedBackgrounds, ProceduralBackgrounds, augment
+from twohands.synth.backgrounds import BackgroundFolder, MixedBackgrounds, ProceduralBackgrounds, augment, read_picture
 
 
 def write(path, colour, size=(60, 80)):
@@ -32,12 +32,30 @@ def test_folder_is_searched_deeply_and_skips_what_is_no_picture(tmp_path):
     (tmp_path / "empty.png").write_bytes(b"")
     (tmp_path / "notes.txt").write_text("hello")
     folder = BackgroundFolder(tmp_path)
-    assert [path.name for path in folder.files] == ["one.png", "broken.jpg"]
+    assert [path.name for path in folder.files] == ["one.png", "broken.jpg", "empty.png"]
     rng = np.random.default_rng(0)
     for _ in range(10):
         picture = folder.sample(rng, 40, 30)
         assert picture.shape == (30, 40, 3)
         assert picture[..., 0].mean() > picture[..., 2].mean() + 50  # red in RGB order
+    assert sorted(folder.unreadable) == ["background broken.jpg cannot be read", "background empty.png cannot be read"]
+    with_more = BackgroundFolder(tmp_path / "a")
+    assert with_more.unreadable == [] and with_more.name != folder.name
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".png"])
+def test_a_picture_that_was_cut_off_is_skipped(tmp_path, suffix):
+    """The decoder fills what is missing with grey and says nothing."""
+    noise = np.random.default_rng(0).integers(0, 255, (64, 64, 3), dtype=np.uint8)
+    cv2.imwrite(str(tmp_path / f"whole{suffix}"), noise)
+    data = (tmp_path / f"whole{suffix}").read_bytes()
+    (tmp_path / f"cut{suffix}").write_bytes(data[: len(data) // 2])
+    (tmp_path / f"more{suffix}").write_bytes(data + b"appended by a camera")
+    assert read_picture(tmp_path / f"cut{suffix}") is None
+    for name in ("whole", "more"):
+        picture = read_picture(tmp_path / f"{name}{suffix}")
+        assert picture is not None and picture.shape == (64, 64, 3)
+    assert read_picture(tmp_path / "nowhere.png") is None
 
 
 def test_bad_folders_are_named(tmp_path):
@@ -46,8 +64,8 @@ def test_bad_folders_are_named(tmp_path):
     with pytest.raises(InputError, match="no background picture"):
         BackgroundFolder(tmp_path)
     (tmp_path / "broken.jpg").write_bytes(b"no picture")
-    with pytest.raises(InputError, match="cannot be read"):
-        BackgroundFolder(tmp_path).sample(np.random.default_rng(0), 40, 30)
+    with pytest.raises(InputError, match="none of the 1 background pictures"):
+        BackgroundFolder(tmp_path)
 
 
 def test_mixture_keeps_its_weights(tmp_path):

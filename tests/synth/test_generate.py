@@ -15,8 +15,9 @@ from twohands.geometry.canonical import canonical_from_camera
 from twohands.skeleton import ROOT
 from twohands.synth.cache import FrameCache, build_cache
 from twohands.synth.config import SynthConfig
+from twohands.synth.executors import LocalProcesses
 from twohands.synth.generate import StaticSet, generate_static
-from twohands.synth.production import in_processes
+from twohands.synth.seeds import stream_seed
 from twohands.synth.stream import SyntheticStream
 from twohands.synth.writer import joints_px_with_elbow
 
@@ -31,7 +32,7 @@ def contents(folder):
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
     out = tmp_path_factory.mktemp("sets") / "one"
-    assert generate_static(SET, out) == 6
+    assert generate_static(SET, out).written == 6
     return out
 
 
@@ -44,8 +45,8 @@ def test_a_rerun_writes_only_what_is_missing(written, tmp_path):
     copy = tmp_path / "copy"
     shutil.copytree(written, copy)
     shutil.rmtree(copy / "00003")
-    (copy / ".00004.1.partial").mkdir()
-    assert generate_static(SET, copy) == 1
+    (copy / ".staging").mkdir()
+    assert generate_static(SET, copy).written == 1
     assert contents(copy) == contents(written)
 
 
@@ -136,7 +137,7 @@ def test_stream_items_are_a_pure_function_of_the_index():
 
 
 def test_stream_and_set_agree(written):
-    sample = SyntheticStream(CONFIG, 9, 6)[2]
+    sample = SET.stream()[2]
     image = cv2.imread(str(written / "00002" / "color_new.png"))[..., ::-1]
     np.testing.assert_array_equal(image, sample.image)
 
@@ -154,7 +155,9 @@ def test_cache_resumes_and_varies_backgrounds(tmp_path):
     np.testing.assert_array_equal(first.labels, second.labels)
     np.testing.assert_array_equal(first.image, same.image)
     assert not np.array_equal(first.image, second.image)
-    np.testing.assert_allclose(first.joints_m, SyntheticStream(CONFIG, 9, 4)[1].joints_m, atol=1e-6)
+    np.testing.assert_allclose(
+        first.joints_m, SyntheticStream(CONFIG, stream_seed(9, "frames"), 4)[1].joints_m, atol=1e-6
+    )
     empty = FrameCache(tmp_path / "c", empty_rate=1.0)[0]
     assert not empty.present.any() and not empty.labels.any() and empty.image.std() > 0
 
@@ -181,7 +184,11 @@ def _die(_: int) -> int:
     return 0
 
 
+def _open_death():
+    return _die
+
+
 def test_a_dead_worker_is_an_error_not_a_hang():
     """Named case: a killed worker once left the run waiting for ever."""
     with pytest.raises(TwoHandsError, match="worker process died"):
-        list(in_processes(_die, [1, 2, 3], 2, print, ()))
+        list(LocalProcesses(2).run(_open_death, [1, 2, 3]))

@@ -1,22 +1,32 @@
-"""Render labelled synthetic data: both hands, egocentric view, in the Ego3DHands layout.
+"""Render labelled synthetic data: both hands, egocentric view, in the Ego3DHands layout or as tar shards.
 
-Same seed, same bytes, whatever the number of workers. A rerun writes only what is missing.
+Same seed, same bytes, whatever the number of workers. A run may be killed at any moment; the same command goes on and
+writes only what is missing. Kinds of sets and splits never share scenes, even with the same seed.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import importlib.util
 import os
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from twohands.cli.progress import progress_of
+from twohands.errors import InputError, MissingExtraError
 from twohands.synth.config import SynthConfig
 from twohands.synth.motion import MotionConfig
 
+if TYPE_CHECKING:
+    from twohands.synth.executors import Executor
+    from twohands.synth.production import Outcome, Plan, Production
+
 FRAME_SIZE = (480, 270)
+SHOWN_NOTES = 20
 
 
 @dataclass(frozen=True)
@@ -37,12 +47,22 @@ class GenerateArgs:
     fps: float = 30.0
     """Frames per second (dynamic)."""
     seed: int = 0
-    """Seed of the set."""
+    """Seed of the set, 0 or larger."""
+    split: Literal["train", "val", "test"] = "train"
+    """Part of the set; splits share no scene, whatever their seeds. Give each its own folder of backgrounds."""
     backgrounds: Path | None = None
     """Folder of background pictures, for dynamic sets also of videos, numbered frames and 360-degree panoramas;
     procedural ones if not given."""
+    format: Literal["ego3dhands", "webdataset"] = "ego3dhands"
+    """ego3dhands: a folder per instance, as the official data; webdataset: tar shards."""
+    shard_size: int = 1000
+    """Instances per tar shard."""
     workers: int = 0
     """Processes; 0 takes all cores."""
+    engine: Literal["local", "ray"] = "local"
+    """Who renders: processes of this machine, or a Ray cluster (extra 'cluster')."""
+    ray_address: str | None = None
+    """Of a running Ray cluster, "auto" for the one of this machine; without it, one is started here."""
     config: SynthConfig = field(default_factory=SynthConfig)
     """Distributions of the scenes."""
     motion: MotionConfig = field(default_factory=MotionConfig)
@@ -50,68 +70,107 @@ class GenerateArgs:
 
 
 def run(args: GenerateArgs) -> int:
-    """Generate, with a progress bar."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    """Generate, with progress, rate and time left."""
+    if args.workers < 0:
+        raise InputError(f"--workers must be 0 (all cores) or more, got {args.workers}")
+    return {"static": _static, "dynamic": _dynamic, "frames": _frames}[args.kind](args)
 
-    from twohands.synth.cache import build_cache
-    from twohands.synth.generate import StaticSet, generate_static
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    workers = args.workers or os.cpu_count() or 1
-    if args.kind == "frames":
-        config = dataclasses.replace(args.config, width=FRAME_SIZE[0], height=FRAME_SIZE[1])
-        with Progress(*columns) as bar:
-            task = bar.add_task("frames", total=args.count)
-            build_cache(
-                args.out,
-                config,
-                args.seed,
-                args.count,
-                workers=workers,
-                progress=lambda done, _: bar.update(task, completed=done),
-            )
-        print(f"{args.count} frames in {args.out}; train on them with twohands train STAGE --data {args.out}")
-        return 0
-    if args.kind == "dynamic":
-        return _run_dynamic(args, workers)
-    static_set = StaticSet(args.config, args.seed, args.count, args.backgrounds)
+def executor_of(args: GenerateArgs) -> Executor:
+    """Who does the work.
+
+    Raises:
+        MissingExtraError: Ray is asked for and not installed.
+    """
+    if args.engine == "ray":
+        from twohands.synth.ray_cluster import RayCluster
+
+        if importlib.util.find_spec("ray") is None:
+            raise MissingExtraError("--engine ray", "cluster")
+        return RayCluster(args.ray_address, args.workers)
+
+    from twohands.synth.executors import LocalProcesses
+
+    return LocalProcesses(args.workers or os.cpu_count() or 1)
+
+
+def _static(args: GenerateArgs) -> int:
+    from twohands.synth.generate import StaticSet
+
     if args.backgrounds is None:
         print("backgrounds: procedural; give photographs with --backgrounds FOLDER")
-    with Progress(*columns) as bar:
-        task = bar.add_task("instances", total=args.count)
-        written = generate_static(
-            static_set,
-            args.out,
-            workers=workers,
-            progress=lambda done, _: bar.update(task, completed=done),
-        )
-    print(f"{written} instances written to {args.out} ({args.count - written} were there already)")
+    static_set = StaticSet(args.config, args.seed, args.count, args.backgrounds, args.split)
+    report(write(static_set, args, executor_of(args)), args, len(static_set))
     return 0
 
 
-def _run_dynamic(args: GenerateArgs, workers: int) -> int:
-    """Generate sequences, with a progress bar."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+def write(production: Production, args: GenerateArgs, executor: Executor) -> Outcome:
+    """Carries out a production run with progress; says how to go on where it is interrupted."""
+    from twohands.synth.production import produce
 
-    from twohands.synth.sequences import SequenceSet, generate_sequences
+    with progress_of("instances") as progress:
 
-    dynamic_set = SequenceSet(
-        args.config, args.motion, args.seed, args.sequences, args.frames, args.fps, args.backgrounds
-    )
-    clips = dynamic_set.clips()
+        def announce(plan: Plan) -> None:
+            print(describe(plan))
+            progress(plan.there, plan.there + plan.missing)
+
+        try:
+            return produce(
+                production,
+                args.out,
+                executor,
+                layout=args.format,
+                shard_size=args.shard_size,
+                announce=announce,
+                progress=progress,
+            )
+        except KeyboardInterrupt:
+            print(f"{args.out} is sound as far as it goes: run the same command again to go on", file=sys.stderr)
+            raise
+
+
+def describe(plan: Plan) -> str:
+    """One line: what is there, what is to be made, what room it takes."""
+    size = f"about {plan.bytes_needed / 1e9:.2f} GB, {plan.bytes_free / 1e9:.1f} GB free"
+    return f"{plan.missing} instances to make ({size}), {plan.there} are there already"
+
+
+def report(outcome: Outcome, args: GenerateArgs, total: int) -> None:
+    """What was written of `total` instances, and what the workers had to say."""
+    print(f"{outcome.written} instances written to {args.out} ({total - outcome.written} were there already)")
+    if outcome.notes:
+        print(f"{len(outcome.notes)} files were skipped:")
+        for note in outcome.notes[:SHOWN_NOTES]:
+            print(f"  {note}")
+        if len(outcome.notes) > SHOWN_NOTES:
+            print(f"  ... and {len(outcome.notes) - SHOWN_NOTES} more")
+
+
+def _frames(args: GenerateArgs) -> int:
+    from twohands.synth.cache import build_cache
+
+    if args.backgrounds or args.split != "train" or args.format != "ego3dhands" or args.engine != "local":
+        raise InputError(
+            "frames have no background, split or format: leave --backgrounds, --split, --format and --engine out"
+        )
+    config = dataclasses.replace(args.config, width=FRAME_SIZE[0], height=FRAME_SIZE[1])
+    with progress_of("frames") as progress:
+        build_cache(
+            args.out, config, args.seed, args.count, workers=args.workers or os.cpu_count() or 1, progress=progress
+        )
+    print(f"{args.count} frames in {args.out}; train on them with twohands train STAGE --data {args.out}")
+    return 0
+
+
+def _dynamic(args: GenerateArgs) -> int:
+    from twohands.synth.sequences import SequenceSet
+
     if args.backgrounds is None:
         print("backgrounds: procedural rooms; give videos, panoramas or photographs with --backgrounds FOLDER")
-    for path, reason in clips.skipped:
+    dynamic_set = SequenceSet(
+        args.config, args.motion, args.seed, args.sequences, args.frames, args.fps, args.backgrounds, args.split
+    )
+    for path, reason in dynamic_set.clips.skipped:
         print(f"background skipped: {path.name}: {reason}")
-    total = args.sequences * args.frames
-    with Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()) as bar:
-        task = bar.add_task("frames", total=total)
-        written = generate_sequences(
-            dynamic_set,
-            args.out,
-            clips=clips,
-            workers=workers,
-            progress=lambda done, _: bar.update(task, completed=done),
-        )
-    print(f"{written} frames written to {args.out} ({total - written} were there already)")
+    report(write(dynamic_set, args, executor_of(args)), args, len(dynamic_set))
     return 0

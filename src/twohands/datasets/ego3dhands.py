@@ -6,9 +6,10 @@ contains `location_2d.npy` counts as an instance, wherever it lies below the roo
 
 from __future__ import annotations
 
+import io
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +17,7 @@ import cv2
 import numpy as np
 
 from twohands import ego3dhands_format as fmt
+from twohands.datasets.manifest import expected_hand_length_m
 from twohands.errors import DataFormatError, InputError
 from twohands.types import HandSample, PinholeCamera
 
@@ -29,7 +31,7 @@ class Ego3DHandsInstance:
     """One instance in house conventions, elbows included.
 
     Attributes:
-        path: the instance's folder.
+        path: the instance's folder, or its name within a tar shard.
         image: (H, W, 3) uint8 RGB; `color_new.png`, or `color.png` on black where there is none.
         camera: the dataset's camera at this image size (the layout stores no intrinsics).
         present: (2,) bool, (LEFT, RIGHT).
@@ -85,10 +87,11 @@ class Ego3DHands:
         InputError: the folder does not exist or holds no instance.
     """
 
-    hand_length_m = fmt.HAND_LENGTH_M
+    hand_length_m: float = fmt.HAND_LENGTH_M
 
     def __init__(self, root: str | os.PathLike[str]) -> None:
         self.root = Path(root)
+        self.hand_length_m = expected_hand_length_m(self.root) or fmt.HAND_LENGTH_M
         if not self.root.is_dir():
             raise InputError(f"{self.root}: no such folder")
         usable: list[Path] = []
@@ -114,7 +117,19 @@ class Ego3DHands:
         return len(self.paths)
 
     def __getitem__(self, index: int) -> HandSample:
-        return read_instance(self.paths[index]).to_sample(self.source(index))
+        return self.instance(index).to_sample(self.source(index))
+
+    def instance(self, index: int) -> Ego3DHandsInstance:
+        """An instance, elbows and canonical joints included.
+
+        Raises:
+            DataFormatError: it is damaged.
+        """
+        return read_instance(self.paths[index])
+
+    def files(self, index: int) -> Mapping[str, bytes]:
+        """The files of an instance."""
+        return FolderFiles(self.paths[index])
 
     @property
     def sequences(self) -> dict[str, tuple[int, ...]]:
@@ -135,13 +150,41 @@ class Ego3DHands:
         return self.name if path == self.root else path.relative_to(self.root).as_posix()
 
 
+class FolderFiles(Mapping[str, bytes]):
+    """The files of a folder by name, read when they are asked for; items raise DataFormatError."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def __getitem__(self, name: str) -> bytes:
+        try:
+            return (self._folder / name).read_bytes()
+        except OSError as error:
+            raise DataFormatError(f"{self._folder / name}: cannot be read ({error.strerror})") from None
+
+    def __iter__(self) -> Iterator[str]:
+        return (path.name for path in sorted(self._folder.iterdir()) if path.is_file())
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
+
+    def __contains__(self, name: object) -> bool:
+        return (self._folder / str(name)).is_file()
+
+
 def read_instance(path: str | os.PathLike[str]) -> Ego3DHandsInstance:
-    """Reads one instance's folder.
+    """Reads one instance's folder: `decode_instance` of its files."""
+    return decode_instance(FolderFiles(Path(path)), Path(path))
+
+
+def decode_instance(files: Mapping[str, bytes], where: Path) -> Ego3DHandsInstance:
+    """Decodes one instance.
 
     Only `location_2d.npy` and one of `color_new.png` and `color.png` are required.
 
     Args:
-        path: the folder.
+        files: file name -> contents.
+        where: the instance's folder or name, for messages.
 
     Returns:
         The instance; files it does not hold are named in `missing`.
@@ -149,28 +192,39 @@ def read_instance(path: str | os.PathLike[str]) -> Ego3DHandsInstance:
     Raises:
         DataFormatError: a required file is missing, or any file is damaged or of the wrong shape.
     """
-    folder = Path(path)
-    missing = tuple(name for name in _all_files() if not (folder / name).is_file())
-    image = read_png(folder / fmt.IMAGE_FILE, 3) if fmt.IMAGE_FILE not in missing else _color_on_black(folder)
+    missing = tuple(name for name in _all_files() if name not in files)
+
+    def png(name: str, channels: int) -> np.ndarray:
+        return decode_png(files[name], channels, str(where / name))
+
+    def array(name: str) -> np.ndarray:
+        return _decode_array(files[name], str(where / name))
+
+    if fmt.IMAGE_FILE not in missing:
+        image = png(fmt.IMAGE_FILE, 3)
+    elif fmt.COLOR_FILE not in missing:
+        image = _on_black(png(fmt.COLOR_FILE, 4))
+    else:
+        raise DataFormatError(f"{where}: expected {fmt.IMAGE_FILE} or {fmt.COLOR_FILE}, found neither")
     height, width = image.shape[:2]
 
     def optional_png(name: str) -> np.ndarray | None:
         if name in missing:
             return None
-        pixels = read_png(folder / name, 3)
+        pixels = png(name, 3)
         if pixels.shape[:2] != (height, width):
-            raise DataFormatError(f"{folder / name}: expected {width}x{height} pixels as the image, got {pixels.shape}")
+            raise DataFormatError(f"{where / name}: expected {width}x{height} pixels as the image, got {pixels.shape}")
         return pixels
 
     absent = np.zeros((2, fmt.N_JOINTS_WITH_ELBOW, 3))
-    location_2d = _read_array(folder / fmt.JOINTS_2D_FILE)
-    location_3d = absent if fmt.JOINTS_3D_FILE in missing else _read_array(folder / fmt.JOINTS_3D_FILE)
-    location_canonical = absent if fmt.CANONICAL_FILE in missing else _read_array(folder / fmt.CANONICAL_FILE)
+    location_2d = array(fmt.JOINTS_2D_FILE)
+    location_3d = absent if fmt.JOINTS_3D_FILE in missing else array(fmt.JOINTS_3D_FILE)
+    location_canonical = absent if fmt.CANONICAL_FILE in missing else array(fmt.CANONICAL_FILE)
     labels, depth = optional_png(fmt.LABELS_FILE), optional_png(fmt.DEPTH_FILE)
     try:
         joints_px = fmt.decode_joints_px(location_2d, width, height)
         return Ego3DHandsInstance(
-            path=folder,
+            path=where,
             image=image,
             camera=PinholeCamera.ego3dhands(width, height),
             present=np.asarray(np.isfinite(joints_px).all(axis=(1, 2))),
@@ -182,34 +236,31 @@ def read_instance(path: str | os.PathLike[str]) -> Ego3DHandsInstance:
             missing=missing,
         )
     except DataFormatError as error:
-        raise DataFormatError(f"{folder}: {error}") from None
+        raise DataFormatError(f"{where}: {error}") from None
 
 
-def read_png(path: Path, channels: int) -> np.ndarray:
-    """Reads an 8-bit PNG completely, or not at all.
+def decode_png(data: bytes, channels: int, where: str) -> np.ndarray:
+    """Decodes an 8-bit PNG completely, or not at all.
 
     Args:
-        path: the file.
+        data: the file's content.
         channels: 3 for RGB, 4 for RGBA.
+        where: the file's name, for messages.
 
     Returns:
         (H, W, channels) uint8.
 
     Raises:
-        DataFormatError: the file is missing, empty, cut off, not a PNG, not 8-bit, or has other channels.
+        DataFormatError: the file is empty, cut off, not a PNG, not 8-bit, or has other channels.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise DataFormatError(f"{path}: cannot be read ({error.strerror})") from None
     if not data.endswith(_PNG_END):  # the decoder would fill the rest of a cut-off picture without a word
-        raise DataFormatError(f"{path}: {'zero bytes' if not data else 'not a complete PNG file'}")
+        raise DataFormatError(f"{where}: {'zero bytes' if not data else 'not a complete PNG file'}")
     pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if pixels is None:
-        raise DataFormatError(f"{path}: not a PNG file that can be decoded")
+        raise DataFormatError(f"{where}: not a PNG file that can be decoded")
     found = pixels.shape[2] if pixels.ndim == 3 else 1
     if pixels.dtype != np.uint8 or found != channels:
-        raise DataFormatError(f"{path}: expected {channels} channels of 8 bits, got {found} of {pixels.dtype}")
+        raise DataFormatError(f"{where}: expected {channels} channels of 8 bits, got {found} of {pixels.dtype}")
     order = cv2.COLOR_BGR2RGB if channels == 3 else cv2.COLOR_BGRA2RGBA
     return cv2.cvtColor(pixels, order)
 
@@ -218,21 +269,18 @@ def _all_files() -> tuple[str, ...]:
     return (fmt.IMAGE_FILE, fmt.COLOR_FILE, fmt.LABELS_FILE, fmt.DEPTH_FILE, *_ARRAY_FILES)
 
 
-def _color_on_black(folder: Path) -> np.ndarray:
+def _on_black(rgba: np.ndarray) -> np.ndarray:
     """(H, W, 3) uint8: the hands of `color.png` on black."""
-    if not (folder / fmt.COLOR_FILE).is_file():
-        raise DataFormatError(f"{folder}: expected {fmt.IMAGE_FILE} or {fmt.COLOR_FILE}, found neither")
-    rgba = read_png(folder / fmt.COLOR_FILE, 4)
     return np.rint(rgba[..., :3] * (rgba[..., 3:] / 255.0)).astype(np.uint8)
 
 
-def _read_array(path: Path) -> np.ndarray:
+def _decode_array(data: bytes, where: str) -> np.ndarray:
     try:
-        array = np.load(path, allow_pickle=False)
+        array = np.load(io.BytesIO(data), allow_pickle=False)
     except (OSError, ValueError, EOFError) as error:
-        raise DataFormatError(f"{path}: not a complete .npy file ({error})") from None
+        raise DataFormatError(f"{where}: not a complete .npy file ({error})") from None
     if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiu":
-        raise DataFormatError(f"{path}: expected an array of numbers")
+        raise DataFormatError(f"{where}: expected an array of numbers")
     return array
 
 

@@ -7,17 +7,22 @@ canonical joints against recomputed ones), so that a wrong axis, unit or focal l
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
+import cv2
 import numpy as np
 
 from twohands import ego3dhands_format as fmt
-from twohands.datasets.ego3dhands import Ego3DHands, Ego3DHandsInstance, read_instance, read_png
+from twohands.datasets.distributions import Distributions, Measurements
+from twohands.datasets.ego3dhands import Ego3DHands, Ego3DHandsInstance, decode_png
+from twohands.datasets.manifest import expected_hand_length_m, read_index
+from twohands.datasets.shards import ShardedEgo3DHands
 from twohands.errors import DataFormatError
 from twohands.geometry.camera import project
 from twohands.geometry.canonical import canonical_from_camera
+from twohands.instance_index import INDEX_FILE, IndexEntry, digest
 from twohands.skeleton import LEFT, PART_NAMES, RIGHT, ROOT, SIDES, WRIST, part_label
 
 REPROJECTION_TOLERANCE_PX = 0.01
@@ -28,6 +33,8 @@ CANONICAL_TOLERANCE = 1e-4
 SURFACE_TOLERANCE_M = 0.01
 """A joint lies inside the body, so the surface seen at its pixel is nearer. Joints on the skin (finger tips) and the
 pixel's extent at a silhouette ask for some slack."""
+OUTLINE_TOLERANCE_PX = 3.0
+"""A joint lies in the flesh, so some hand covers its pixel; at 960x540, scaled with the picture's height."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +61,7 @@ class DatasetReport:
         reprojection_px: largest distance between stored and projected 2D joints; NaN without 3D labels.
         surface_gap_m: median depth of visible joints below the surface, metres; NaN without depth.
         problems: everything that is damaged or contradicts itself.
+        distributions: of the sound instances.
     """
 
     name: str
@@ -67,10 +75,13 @@ class DatasetReport:
     reprojection_px: float
     surface_gap_m: float
     problems: tuple[Problem, ...]
+    distributions: Distributions
 
 
-def inspect_dataset(dataset: Ego3DHands, on_progress: Callable[[int], None] | None = None) -> DatasetReport:
-    """Reads every instance completely and checks it.
+def inspect_dataset(
+    dataset: Ego3DHands | ShardedEgo3DHands, on_progress: Callable[[int], None] | None = None
+) -> DatasetReport:
+    """Reads every instance completely and checks it, with its hash where the set has an index.
 
     Args:
         dataset: what to check.
@@ -87,11 +98,17 @@ def inspect_dataset(dataset: Ego3DHands, on_progress: Callable[[int], None] | No
     outside: list[np.ndarray] = []
     reprojection: list[np.ndarray] = []
     gaps: list[np.ndarray] = []
-    for index, path in enumerate(dataset.paths):
+    measurements = Measurements()
+    listed, index_problems = _index_of(dataset)
+    problems += index_problems
+    hand_length_m = expected_hand_length_m(dataset.root)
+    for index in range(len(dataset)):
         source = dataset.source(index)
         try:
-            instance = read_instance(path)
-            alpha = None if fmt.COLOR_FILE in instance.missing else read_png(path / fmt.COLOR_FILE, 4)[..., 3]
+            files = dataset.files(index)
+            problems.extend(Problem(source, message) for message in _hash_problems(source, files, listed))
+            instance = dataset.instance(index)
+            rgba = _rgba(instance, files)
         except DataFormatError as error:
             problems.append(Problem(source, str(error)))
         else:
@@ -102,7 +119,10 @@ def inspect_dataset(dataset: Ego3DHands, on_progress: Callable[[int], None] | No
             outside.append(_outside(instance))
             reprojection.append(reprojection_errors_px(instance))
             gaps.append(surface_gaps_m(instance))
-            problems.extend(Problem(source, message) for message in instance_problems(instance, alpha))
+            alpha = None if rgba is None else rgba[..., 3]
+            found = instance_problems(instance, alpha, hand_length_m)
+            problems.extend(Problem(source, message) for message in found)
+            measurements.add(instance)
         if on_progress is not None:
             on_progress(index + 1)
     return DatasetReport(
@@ -117,22 +137,27 @@ def inspect_dataset(dataset: Ego3DHands, on_progress: Callable[[int], None] | No
         reprojection_px=_finite(np.max, reprojection),
         surface_gap_m=_finite(np.median, gaps),
         problems=tuple(problems),
+        distributions=measurements.distributions(dataset.name),
     )
 
 
-def instance_problems(instance: Ego3DHandsInstance, alpha: np.ndarray | None = None) -> list[str]:
+def instance_problems(
+    instance: Ego3DHandsInstance, alpha: np.ndarray | None = None, hand_length_m: float | None = fmt.HAND_LENGTH_M
+) -> list[str]:
     """All contradictions within one instance.
 
     Args:
         instance: what was read.
         alpha: (H, W) uint8 alpha channel of `color.png`, or None.
+        hand_length_m: |wrist - root| that hands must have, metres; None for any.
 
     Returns:
         One line per contradiction; empty for a sound instance.
     """
     return [
         *_presence_problems(instance),
-        *_joint_problems(instance),
+        *_joint_problems(instance, hand_length_m),
+        *_outline_problems(instance),
         *_mask_problems(instance, alpha),
         *_surface_problems(instance),
     ]
@@ -183,7 +208,33 @@ def _presence_problems(instance: Ego3DHandsInstance) -> list[str]:
     return found
 
 
-def _joint_problems(instance: Ego3DHandsInstance) -> list[str]:
+def _index_of(dataset: Ego3DHands | ShardedEgo3DHands) -> tuple[dict[str, IndexEntry], list[Problem]]:
+    """The set's index, and what it lists but the set does not hold, or the other way round."""
+    try:
+        listed = read_index(dataset.root)
+    except DataFormatError as error:
+        return {}, [Problem(INDEX_FILE, str(error))]
+    there = {dataset.source(index) for index in range(len(dataset))}
+    gone = [Problem(name, f"listed in {INDEX_FILE} but not there") for name in listed if name not in there]
+    strangers = [Problem(name, f"not listed in {INDEX_FILE}") for name in sorted(there - set(listed))] if listed else []
+    return listed, gone + strangers
+
+
+def _hash_problems(source: str, files: Mapping[str, bytes], listed: dict[str, IndexEntry]) -> list[str]:
+    entry = listed.get(source)
+    if entry is None or digest({name: files[name] for name in files}) == entry.sha256:
+        return []
+    return [f"its files are not those that were written: their SHA-256 differs from {INDEX_FILE}"]
+
+
+def _rgba(instance: Ego3DHandsInstance, files: Mapping[str, bytes]) -> np.ndarray | None:
+    """(H, W, 4) uint8 of `color.png`, or None where there is none."""
+    if fmt.COLOR_FILE in instance.missing:
+        return None
+    return decode_png(files[fmt.COLOR_FILE], 4, str(instance.path / fmt.COLOR_FILE))
+
+
+def _joint_problems(instance: Ego3DHandsInstance, hand_length_m: float | None) -> list[str]:
     found = []
     joints_m = instance.joints_m[:, 1:]  # (2, 21, 3)
     lengths = np.linalg.norm(joints_m[:, WRIST] - joints_m[:, ROOT], axis=-1)
@@ -194,12 +245,36 @@ def _joint_problems(instance: Ego3DHandsInstance) -> list[str]:
         worst = _finite(np.max, [pixel_error[side]])
         if worst > REPROJECTION_TOLERANCE_PX:
             found.append(f"{SIDES[side]} hand: 2D joints are up to {worst:.3g} px from the projected 3D joints")
-        if abs(lengths[side] - fmt.HAND_LENGTH_M) > HAND_LENGTH_TOLERANCE_M:
-            found.append(f"{SIDES[side]} hand: |wrist - root| is {lengths[side] * 100:.4f} cm, expected 10 cm")
+        if hand_length_m is not None and abs(lengths[side] - hand_length_m) > HAND_LENGTH_TOLERANCE_M:
+            found.append(
+                f"{SIDES[side]} hand: |wrist - root| is {lengths[side] * 100:.4f} cm, "
+                f"expected {hand_length_m * 100:g} cm"
+            )
         if canonical_error[side] > CANONICAL_TOLERANCE:
             found.append(
                 f"{SIDES[side]} hand: {fmt.CANONICAL_FILE} is up to {canonical_error[side]:.3g} from the canonical "
                 f"pose of {fmt.JOINTS_3D_FILE}"
+            )
+    return found
+
+
+def _outline_problems(instance: Ego3DHandsInstance) -> list[str]:
+    """2D joints against the mask: a joint inside the picture shows its own hand, or what hides it; never background."""
+    if instance.labels is None:
+        return []
+    height, width = instance.labels.shape
+    tolerance = max(1.5, OUTLINE_TOLERANCE_PX * height / 540)
+    distance = cv2.distanceTransform((instance.labels == 0).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    inside = ~_outside_mask(instance)
+    inside[:, 0] = False  # elbows
+    found = []
+    for side in (LEFT, RIGHT):
+        u, v = np.floor(instance.joints_px[side, inside[side]]).astype(int).T
+        away = distance[np.minimum(v, height - 1), np.minimum(u, width - 1)]
+        if np.any(away > tolerance):
+            found.append(
+                f"{SIDES[side]} hand: {np.count_nonzero(away > tolerance)} joints lie on the background of "
+                f"{fmt.LABELS_FILE}, up to {away.max():.1f} px from the hands"
             )
     return found
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-from functools import lru_cache
+import os
+from collections.abc import Callable, Sequence
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Protocol
 
@@ -23,6 +25,11 @@ class Backgrounds(Protocol):
         """Identifies the source in manifests."""
         ...
 
+    @property
+    def unreadable(self) -> Sequence[str]:
+        """A line for every picture that was skipped so far, because it cannot be read."""
+        ...
+
     def sample(self, rng: np.random.Generator, width: int, height: int) -> np.ndarray:
         """A random (height, width, 3) uint8 RGB background."""
         ...
@@ -32,6 +39,7 @@ class ProceduralBackgrounds:
     """Gradients, smooth noise, and random shapes with edges, stripes and grain: nothing to download, never the same."""
 
     name = "procedural"
+    unreadable = ()
 
     def sample(self, rng: np.random.Generator, width: int, height: int) -> np.ndarray:
         """A random (height, width, 3) uint8 RGB background."""
@@ -54,33 +62,59 @@ class ProceduralBackgrounds:
 class BackgroundFolder:
     """Photographs of a folder and its subfolders, with random crop, flip and colour augmentation (paper 3.1).
 
+    A picture that cannot be read is skipped: the next one is taken in its place, and it is named in `unreadable`.
+
+    Attributes:
+        files: all pictures, sorted.
+        name: the folder's name, their number, and a checksum of their names and sizes.
+        unreadable: a line for every picture that was skipped so far.
+
     Args:
         folder: holds .jpg, .png, .bmp or .webp files.
+        keep: how many decoded pictures to keep in memory, 1.5 MB each.
 
     Raises:
-        InputError: the folder does not exist or holds no readable picture.
+        InputError: the folder does not exist, cannot be read, or holds no readable picture.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, keep: int = 1024) -> None:
         if not folder.is_dir():
             raise InputError(f"background folder {folder} does not exist")
-        found = sorted(path for path in folder.rglob("*") if path.suffix.lower() in IMAGE_SUFFIXES)
-        self.files = tuple(path for path in found if path.stat().st_size > 0)
+        if not os.access(folder, os.R_OK | os.X_OK):
+            raise InputError(f"background folder {folder} cannot be read: no permission")
+        found = (path for path in folder.rglob("*") if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file())
+        self.files = tuple(sorted(found))
         if not self.files:
             raise InputError(f"no background picture ({', '.join(IMAGE_SUFFIXES)}) in {folder}")
-        digest = hashlib.sha256("\n".join(path.name for path in self.files).encode()).hexdigest()[:12]
+        self.folder, self.keep = folder, keep
+        self.unreadable: list[str] = []
+        if all(read_picture(path) is None for path in self.files):
+            raise InputError(f"none of the {len(self.files)} background pictures in {folder} can be read")
+        listing = "\n".join(f"{path.relative_to(folder).as_posix()} {path.stat().st_size}" for path in self.files)
+        digest = hashlib.sha256(listing.encode()).hexdigest()[:12]
         self.name = f"{folder.name} ({len(self.files)} pictures, {digest})"
+
+    @cached_property
+    def _read(self) -> Callable[[Path], np.ndarray | None]:
+        return lru_cache(maxsize=self.keep)(read_picture)
+
+    def __getstate__(self) -> dict[str, object]:
+        return {key: value for key, value in self.__dict__.items() if key != "_read"}
 
     def sample(self, rng: np.random.Generator, width: int, height: int) -> np.ndarray:
         """A random (height, width, 3) uint8 RGB background.
 
         Raises:
-            InputError: ten files in a row cannot be read.
+            InputError: no picture can be read any more.
         """
-        for _ in range(10):
-            picture = _read(self.files[int(rng.integers(len(self.files)))])
+        first = int(rng.integers(len(self.files)))
+        for path in (*self.files[first:], *self.files[:first]):
+            picture = self._read(path)
             if picture is not None:
                 return augment(picture, rng, width, height)
+            line = f"background {path.relative_to(self.folder).as_posix()} cannot be read"
+            if line not in self.unreadable:
+                self.unreadable.append(line)
         raise InputError(f"background pictures of {self.name} cannot be read")
 
 
@@ -91,6 +125,11 @@ class MixedBackgrounds:
         self.sources = sources
         self._cumulative = np.cumsum(np.asarray(weights, float) / np.sum(weights))
         self.name = " + ".join(source.name for source in sources)
+
+    @property
+    def unreadable(self) -> list[str]:
+        """See `Backgrounds.unreadable`."""
+        return [line for source in self.sources for line in source.unreadable]
 
     def sample(self, rng: np.random.Generator, width: int, height: int) -> np.ndarray:
         """A random (height, width, 3) uint8 RGB background."""
@@ -115,15 +154,35 @@ def augment(picture: np.ndarray, rng: np.random.Generator, width: int, height: i
     return np.asarray(cv2.LUT(crop, np.ascontiguousarray(table[None])))
 
 
-@lru_cache(maxsize=1024)
-def _read(path: Path) -> np.ndarray | None:
-    picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
+def read_picture(path: Path) -> np.ndarray | None:
+    """A background at most 960 pixels wide or high.
+
+    Returns:
+        (H, W, 3) uint8 RGB; None if the file is missing, cut off, or no picture.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError:
+        return None
+    if not data or _is_cut_off(data):
+        return None
+    picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     if picture is None:
         return None
     scale = 960 / max(picture.shape[:2])
     if scale < 1:
         picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB))
+
+
+def _is_cut_off(data: bytes) -> bool:
+    """Whether a JPEG or PNG ends early; the decoder would fill the rest with grey without a word.
+
+    A JPEG may hold a preview with an end of its own, and cameras append data: its last scan must be closed.
+    """
+    if data.startswith(b"\xff\xd8"):
+        return data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda")
+    return data.startswith(b"\x89PNG") and b"IEND\xaeB`\x82" not in data
 
 
 def _gradient(rng: np.random.Generator, width: int, height: int) -> np.ndarray:

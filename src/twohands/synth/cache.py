@@ -7,24 +7,33 @@ one rendered frame serves many training samples.
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from twohands.errors import DataFormatError
+from twohands.errors import DataFormatError, InputError
 from twohands.geometry.camera import project
+from twohands.instance_index import MANIFEST_FILE
 from twohands.synth.backgrounds import Backgrounds, ProceduralBackgrounds
 from twohands.synth.compositing import compose
 from twohands.synth.config import SynthConfig
-from twohands.synth.production import MANIFEST, claim_folder, in_processes
+from twohands.synth.executors import LocalProcesses
+from twohands.synth.manifest import claimed_folder, environment
+from twohands.synth.production import check_room
+from twohands.synth.render.raster import renderer_name
 from twohands.synth.scene import instance_rng
+from twohands.synth.seeds import stream_seed
 from twohands.synth.stream import SyntheticStream, labelled
 from twohands.types import HandSample, PinholeCamera
 
 _VARIANT_STREAM = 1 << 41
+FORMAT = "frames-2"
+"""Of the manifest; "frames-1" drew the scenes of a static set of the same seed, and is read just the same."""
 GLARE_RATE = 0.15
 """Share of arms lit so brightly that parts of them are white, as in pictures of Ego3DHands."""
 
@@ -61,36 +70,49 @@ def build_cache(
         progress: called with (frames done, count) now and then.
 
     Raises:
-        InputError: the folder holds something else.
+        InputError: the folder holds something else, there is no room for the frames, or the seed is negative.
+        MissingExtraError, RendererError: no renderer on this machine.
         TwoHandsError: a worker process died.
     """
-    claim_folder(folder, {"format": "frames-2", "seed": seed, "count": count, "config": asdict(config)})
-    for name, (shape, dtype) in _layout(config, count).items():
-        file = folder / f"{name}.npy"
-        if not file.exists():
-            np.lib.format.open_memmap(file, mode="w+", dtype=dtype, shape=shape).flush()
-    missing = [int(i) for i in np.flatnonzero(~np.load(folder / "done.npy", mmap_mode="r"))]
-    finished = count - len(missing)
-    for _ in in_processes(_render_frame, missing, workers, _start_worker, (folder, config, seed, count)):
-        finished += 1
-        if progress is not None:
-            progress(finished, count)
+    if count < 1:
+        raise InputError(f"count must be at least 1, got {count}")
+    identity = {"format": FORMAT, "kind": "frames", "seed": seed, "count": count, "config": asdict(config)}
+    stream = SyntheticStream(config, stream_seed(seed, "frames"), count)
+    layout = _layout(config, count)
+    with claimed_folder(folder, identity, environment(renderer_name())):
+        absent = {name: spec for name, spec in layout.items() if not (folder / f"{name}.npy").exists()}
+        check_room(folder, sum(int(np.prod(shape)) * np.dtype(dtype).itemsize for shape, dtype in absent.values()))
+        for name, (shape, dtype) in absent.items():
+            _allocate(folder / f"{name}.npy", shape, dtype)
+        missing = [int(i) for i in np.flatnonzero(~np.load(folder / "done.npy", mmap_mode="r"))]
+        finished = count - len(missing)
+        for _ in LocalProcesses(workers).run(partial(_open_frames, stream, folder, tuple(layout)), missing):
+            finished += 1
+            if progress is not None:
+                progress(finished, count)
 
 
-_job: tuple[SyntheticStream, dict[str, np.ndarray]] | None = None
-"""Of a worker process: set once by `_start_worker`."""
+def _allocate(path: Path, shape: tuple[int, ...], dtype: type) -> None:
+    """An array of zeros on disk, which appears whole or not at all. Its room is reserved: a worker that found the disk
+    full while writing through a memory map would be killed."""
+    partial_path = path.with_name(f".{path.name}.partial")
+    try:
+        np.lib.format.open_memmap(partial_path, mode="w+", dtype=dtype, shape=shape).flush()
+        if hasattr(os, "posix_fallocate"):
+            with partial_path.open("r+b") as file:
+                os.posix_fallocate(file.fileno(), 0, partial_path.stat().st_size)
+        os.replace(partial_path, path)
+    except OSError as error:
+        partial_path.unlink(missing_ok=True)
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
 
 
-def _start_worker(folder: Path, config: SynthConfig, seed: int, count: int) -> None:
-    global _job
-    arrays = {name: np.load(folder / f"{name}.npy", mmap_mode="r+") for name in _layout(config, count)}
-    _job = SyntheticStream(config, seed, count), arrays
+def _open_frames(stream: SyntheticStream, folder: Path, names: tuple[str, ...]) -> Callable[[int], int]:
+    """What a worker does with an index."""
+    return partial(_render_frame, stream, {name: np.load(folder / f"{name}.npy", mmap_mode="r+") for name in names})
 
 
-def _render_frame(index: int) -> int:
-    if _job is None:
-        raise RuntimeError("worker was not started")
-    stream, arrays = _job
+def _render_frame(stream: SyntheticStream, arrays: dict[str, np.ndarray], index: int) -> int:
     frame = stream.frame(index)
     arrays["rgba"][index, ..., :3] = frame.rgb
     arrays["rgba"][index, ..., 3] = frame.alpha
@@ -150,7 +172,7 @@ class FrameCache:
         empty_rate: float = 0.0,
     ) -> None:
         try:
-            manifest = json.loads((folder / MANIFEST).read_text())
+            manifest = json.loads((folder / MANIFEST_FILE).read_text())
             self.seed = int(manifest["seed"])
             self._arrays = {
                 name: np.load(folder / f"{name}.npy", mmap_mode="r")
@@ -171,7 +193,7 @@ class FrameCache:
     @staticmethod
     def is_cache(folder: Path) -> bool:
         """Whether `build_cache` has written to this folder."""
-        return (folder / MANIFEST).is_file() and (folder / "rgba.npy").is_file()
+        return (folder / MANIFEST_FILE).is_file() and (folder / "rgba.npy").is_file()
 
     def __len__(self) -> int:
         return len(self.indices) * self.variants

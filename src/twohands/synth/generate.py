@@ -1,119 +1,127 @@
-"""Fills a folder with a static set in the Ego3DHands layout: resumable, same bytes for any number of workers."""
+"""The static set (paper section 3.1) as a production: single pictures, each with its own scene."""
 
 from __future__ import annotations
 
 import json
-import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any
 
-from twohands import __version__
 from twohands.ego3dhands_format import instance_name
-from twohands.errors import InputError
 from twohands.synth.backgrounds import BackgroundFolder, Backgrounds, ProceduralBackgrounds
 from twohands.synth.compositing import compose_frame
 from twohands.synth.config import SynthConfig
-from twohands.synth.production import claim_folder, in_processes
+from twohands.synth.executors import Executor, LocalProcesses
+from twohands.synth.manifest import environment
+from twohands.synth.production import Layout, Made, Outcome, Plan, produce
+from twohands.synth.render.raster import renderer_name
+from twohands.synth.seeds import Split, stream_seed
 from twohands.synth.stream import SyntheticStream
-from twohands.synth.writer import encode_instance, write_instance
+from twohands.synth.writer import encode_instance
+
+BYTES_PER_PIXEL = 1.7
+"""All seven files of an instance together, on the average of both kinds of backgrounds."""
+WORKER_BACKGROUNDS = 64
+"""Decoded background pictures that a worker keeps: 100 MB."""
 
 
 @dataclass(frozen=True)
 class StaticSet:
-    """What defines a set, down to the last byte.
+    """What defines a set, down to the last byte; a `production.Production`.
 
     Attributes:
         config: distributions of the scenes.
-        seed: of the set.
+        seed: of the set, 0 or larger.
         count: number of instances.
         backgrounds: folder of background pictures; procedural if None.
+        split: part of the set; no two splits share a scene, whatever their seeds.
     """
 
     config: SynthConfig
     seed: int
     count: int
     backgrounds: Path | None = None
+    split: Split = "train"
 
     def stream(self) -> SyntheticStream:
         """The instances of the set.
 
         Raises:
-            InputError: the background folder is missing or empty.
+            InputError: the seed is negative, or the background folder is missing, unreadable or empty.
         """
-        source: Backgrounds = BackgroundFolder(self.backgrounds) if self.backgrounds else ProceduralBackgrounds()
-        return SyntheticStream(self.config, self.seed, self.count, source)
+        seed = stream_seed(self.seed, "static", self.split)
+        return SyntheticStream(self.config, seed, self.count, self._backgrounds())
 
-    def manifest(self) -> dict[str, object]:
-        """Plain JSON values that tell one set from another."""
+    def __len__(self) -> int:
+        return self.count
+
+    def instance_name(self, index: int) -> str:
+        """Five digits."""
+        return instance_name(index)
+
+    def identity(self) -> dict[str, Any]:
+        """See `Production.identity`."""
         return {
-            "format": "ego3dhands",
-            "twohands": __version__,
+            "kind": "static",
+            "split": self.split,
             "seed": self.seed,
             "backgrounds": self.stream().backgrounds.name,
             "config": json.loads(json.dumps(asdict(self.config))),
         }
 
+    def made_with(self) -> dict[str, str]:
+        """See `Production.made_with`."""
+        return environment(renderer_name())
+
+    def expected_bytes(self) -> int:
+        """See `Production.expected_bytes`."""
+        return round(BYTES_PER_PIXEL * self.config.width * self.config.height)
+
+    def open(self) -> Callable[[int], Made]:
+        """See `Production.open`."""
+        return partial(_make, self.stream())
+
+    def _backgrounds(self) -> Backgrounds:
+        if self.backgrounds is None:
+            return ProceduralBackgrounds()
+        return BackgroundFolder(self.backgrounds, keep=WORKER_BACKGROUNDS)
+
 
 def generate_static(
-    static_set: StaticSet, out: Path, *, workers: int = 1, progress: Callable[[int, int], None] | None = None
-) -> int:
-    """Writes the instances that are not there yet.
+    static_set: StaticSet,
+    out: Path,
+    *,
+    workers: int = 1,
+    executor: Executor | None = None,
+    layout: Layout = "ego3dhands",
+    shard_size: int = 1000,
+    announce: Callable[[Plan], None] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Outcome:
+    """Writes the instances of a static set that are not there yet: `produce`, with local processes by default.
 
     Args:
         static_set: what to write; `count` may grow from one call to the next.
-        out: folder of this set alone; instances are folders 00000, 00001, ...
-        workers: processes, each with its own renderer.
-        progress: called with (instances there, count).
-
-    Returns:
-        Number of instances written by this call.
+        workers: processes, each with its own renderer; not used where an executor is given.
+        out, executor, layout, shard_size, announce, progress: see `produce`.
 
     Raises:
-        InputError: the folder belongs to another set or to something else, or cannot be written.
-        MissingExtraError, RendererError: no renderer on this machine.
-        TwoHandsError: a worker process died.
+        See `produce`.
     """
-    if static_set.count < 1:
-        raise InputError(f"count must be at least 1, got {static_set.count}")
-    claim_folder(out, static_set.manifest())
-    for stale in out.glob(".*.partial"):
-        shutil.rmtree(stale, ignore_errors=True)
-    missing = [i for i in range(static_set.count) if not (out / instance_name(i)).is_dir()]
-    there = static_set.count - len(missing)
-    for _ in _write_all(static_set, out, missing, workers):
-        there += 1
-        if progress is not None:
-            progress(there, static_set.count)
-    return len(missing)
+    return produce(
+        static_set,
+        out,
+        executor or LocalProcesses(workers),
+        layout=layout,
+        shard_size=shard_size,
+        announce=announce,
+        progress=progress,
+    )
 
 
-def _write_all(static_set: StaticSet, out: Path, indices: list[int], workers: int) -> Iterator[int]:
-    if workers <= 1 or len(indices) < 2:
-        stream = static_set.stream()
-        for index in indices:
-            yield _write_one(stream, out, index)
-        return
-    yield from in_processes(_work, indices, workers, _start_worker, (static_set, out))
-
-
-def _write_one(stream: SyntheticStream, out: Path, index: int) -> int:
+def _make(stream: SyntheticStream, index: int) -> Made:
     frame = stream.frame(index)
     image = compose_frame(frame, stream.background(index))
-    write_instance(out / instance_name(index), encode_instance(frame, image))
-    return index
-
-
-_job: tuple[SyntheticStream, Path] | None = None
-"""Of a worker process: set once by `_start_worker`."""
-
-
-def _start_worker(static_set: StaticSet, out: Path) -> None:
-    global _job
-    _job = (static_set.stream(), out)
-
-
-def _work(index: int) -> int:
-    if _job is None:
-        raise RuntimeError("worker was not started")
-    return _write_one(*_job, index)
+    return Made(encode_instance(frame, image), tuple(stream.backgrounds.unreadable))

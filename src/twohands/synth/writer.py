@@ -1,11 +1,8 @@
-"""Writes rendered instances in the official Ego3DHands layout (SPEC 1.1)."""
+"""Encodes rendered instances in the official Ego3DHands layout (SPEC 1.1)."""
 
 from __future__ import annotations
 
 import io
-import os
-import shutil
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -78,29 +75,6 @@ def canonical_with_elbow(joints_m: np.ndarray) -> np.ndarray:
         result[side, 0] = rotation @ (joints_m[side, 0] - hand[side, ROOT]) / length
         result[side, 1:] = canonical_from_camera(hand[side]).joints
     return result
-
-
-def write_instance(folder: Path, files: dict[str, bytes]) -> None:
-    """Writes one instance so that its folder appears whole or not at all.
-
-    Args:
-        folder: the instance's own folder; replaced if it exists.
-        files: from `encode_instance`.
-
-    Raises:
-        InputError: it cannot be written.
-    """
-    temporary = folder.with_name(f".{folder.name}.{os.getpid()}.partial")
-    try:
-        shutil.rmtree(temporary, ignore_errors=True)
-        temporary.mkdir(parents=True)
-        for name, content in files.items():
-            (temporary / name).write_bytes(content)
-        shutil.rmtree(folder, ignore_errors=True)
-        os.replace(temporary, folder)
-    except OSError as error:
-        shutil.rmtree(temporary, ignore_errors=True)
-        raise InputError(f"{folder}: cannot be written: {error.strerror}") from error
 
 
 def _png(pixels: np.ndarray) -> bytes:

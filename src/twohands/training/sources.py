@@ -68,10 +68,12 @@ def split(source: SampleSource, validation: int) -> tuple[IndexRange, IndexRange
 
 def _synthetic(spec: DataConfig) -> SampleSource:
     from twohands.synth.config import SynthConfig
+    from twohands.synth.seeds import stream_seed
     from twohands.synth.stream import SyntheticStream
 
     width, height = SYNTHETIC_FRAME
-    return SyntheticStream(SynthConfig(width=width, height=height), spec.seed, SYNTHETIC_SIZE, _backgrounds(spec))
+    config, seed = SynthConfig(width=width, height=height), stream_seed(spec.seed, "stream")
+    return SyntheticStream(config, seed, SYNTHETIC_SIZE, _backgrounds(spec))
 
 
 def _backgrounds(spec: DataConfig) -> Backgrounds | None:

@@ -50,6 +50,19 @@ def create_context() -> Any:
         ) from error
 
 
+def renderer_name() -> str:
+    """Name and version of the OpenGL driver, which pictures depend on in their last bits.
+
+    Raises:
+        MissingExtraError, RendererError: nothing can be rendered here.
+    """
+    context = create_context()
+    try:
+        return f"{context.info['GL_RENDERER']}, {context.info['GL_VERSION']}"
+    finally:
+        context.release()
+
+
 class RasterRenderer:
     """Renders scenes of one image size.
 

@@ -1,0 +1,45 @@
+"""What a generated set says of itself; official data has nothing of the kind."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from twohands import ego3dhands_format as fmt
+from twohands.errors import DataFormatError
+from twohands.instance_index import INDEX_FILE, MANIFEST_FILE, IndexEntry, parse_index
+
+
+def read_manifest(root: Path) -> dict[str, Any]:
+    """The manifest of a set, or of the set that holds this instance; empty where there is none, or it is damaged."""
+    for folder in (root, root.parent):
+        try:
+            content = json.loads((folder / MANIFEST_FILE).read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            continue
+        if isinstance(content, dict) and isinstance(content.get("config"), dict):
+            return content
+    return {}
+
+
+def expected_hand_length_m(root: Path) -> float | None:
+    """|wrist - root| that every hand of a set must have, metres: that of its config, else that of the official data;
+    None where every person has their own."""
+    length = read_manifest(root).get("config", {}).get("hand_length", fmt.HAND_LENGTH_M)
+    return float(length) if isinstance(length, int | float) else None
+
+
+def read_index(root: Path) -> dict[str, IndexEntry]:
+    """The index of a set, by the instances' names; empty where there is none.
+
+    Raises:
+        DataFormatError: it is damaged.
+    """
+    try:
+        text = (root / INDEX_FILE).read_text(encoding="utf-8")
+    except FileNotFoundError:
+        return {}
+    except (OSError, UnicodeDecodeError) as error:
+        raise DataFormatError(f"{root / INDEX_FILE}: cannot be read ({error})") from None
+    return {entry.instance: entry for entry in parse_index(text)}

@@ -1,0 +1,133 @@
+"""`twohands generate` through the command line: what it says, and what it refuses without touching anything."""
+
+import signal
+import subprocess
+import sys
+import time
+
+import cv2
+import numpy as np
+import pytest
+
+from twohands.cli.main import main
+from twohands.cli.progress import RateLog, duration
+from twohands.errors import RendererError
+from twohands.synth.render import raster
+
+SMALL = ["--count", "3", "--workers", "1", "--config.width", "128", "--config.height", "72"]
+
+
+def generate(*arguments: object) -> int:
+    return main(["generate", "static", *SMALL, *map(str, arguments)])
+
+
+def one_line(capsys: pytest.CaptureFixture[str]) -> str:
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1 and lines[0].startswith("twohands: error: "), lines
+    return lines[0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--seed", -1], "seed must be 0 or a larger whole number, got -1"),
+        (["--count", 0], "count must be 1 to"),
+        (["--workers", -1], "--workers must be 0"),
+        (["--config.drop-rate", "nan"], "drop_rate must lie in"),
+        (["--config.drop-rate", 1], "drop_rate must lie in"),
+        (["--config.box-min", "0.5", "0", "0.3"], "hand box is empty"),
+        (["--config.box-max", "0.1", "nan", "0.5"], "hand box is empty"),
+        (["--config.skin-tones", "0.8", "0.2"], "skin_tones must be an ordered pair"),
+        (["--config.hand-length", 9], "hand_length must lie in"),
+        (["--config.lights", 0], "lights must be 1 to 8"),
+        (["--format", "webdataset", "--shard-size", 0], "shard size must be at least 1"),
+        (["--backgrounds", "/nowhere"], "background folder /nowhere does not exist"),
+    ],
+)
+def test_nonsense_is_one_line_and_exit_code_2(tmp_path, capsys, arguments, message):
+    assert generate("--out", tmp_path / "set", *arguments) == 2
+    assert message in one_line(capsys)
+    assert not list(tmp_path.rglob("0*"))
+
+
+def test_bad_backgrounds_are_one_line(tmp_path, capsys):
+    (tmp_path / "photos").mkdir()
+    assert generate("--out", tmp_path / "set", "--backgrounds", tmp_path / "photos") == 2
+    assert "no background picture" in one_line(capsys)
+    (tmp_path / "photos" / "a.jpg").write_bytes(b"no picture")
+    assert generate("--out", tmp_path / "set", "--backgrounds", tmp_path / "photos") == 2
+    assert "none of the 1 background pictures" in one_line(capsys)
+    assert not (tmp_path / "set").exists()
+
+
+def test_skipped_backgrounds_are_counted_and_named_at_the_end(tmp_path, capsys):
+    (tmp_path / "photos").mkdir()
+    cv2.imwrite(str(tmp_path / "photos" / "good.png"), np.full((40, 60, 3), 90, np.uint8))
+    for name in ("bad.jpg", "empty.png"):
+        (tmp_path / "photos" / name).write_bytes(b"x" if name == "bad.jpg" else b"")
+    assert generate("--count", 8, "--out", tmp_path / "set", "--backgrounds", tmp_path / "photos") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-3:] == [
+        "2 files were skipped:",
+        "  background bad.jpg cannot be read",
+        "  background empty.png cannot be read",
+    ]
+
+
+def test_without_opengl_the_package_to_install_is_named(tmp_path, capsys, monkeypatch):
+    def fail(**_):
+        raise RuntimeError("libEGL.so not loaded")
+
+    import moderngl
+
+    monkeypatch.setattr(moderngl, "create_standalone_context", fail)
+    with pytest.raises(RendererError):
+        raster.renderer_name()
+    for kind in ("static", "frames"):
+        assert main(["generate", kind, "--out", str(tmp_path / kind), *SMALL[:4]]) == 2
+        assert "apt-get install libegl1" in one_line(capsys)
+        assert not (tmp_path / kind).exists()
+
+
+def test_another_run_is_not_touched(tmp_path, capsys):
+    assert generate("--out", tmp_path / "set") == 0
+    before = sorted((path, path.stat().st_mtime_ns) for path in (tmp_path / "set").rglob("*"))
+    capsys.readouterr()
+    for arguments in (["--split", "test"], ["--seed", 3], ["--format", "webdataset"]):
+        assert generate("--out", tmp_path / "set", *arguments) == 2
+        assert "holds another set" in one_line(capsys)
+    assert sorted((path, path.stat().st_mtime_ns) for path in (tmp_path / "set").rglob("*")) == before
+
+
+def test_frames_take_no_backgrounds(tmp_path, capsys):
+    assert main(["generate", "frames", "--out", str(tmp_path / "c"), "--split", "test"]) == 2
+    assert "frames have no background" in one_line(capsys)
+
+
+@pytest.mark.slow
+def test_ctrl_c_says_how_to_go_on(tmp_path):
+    """To the whole process group, as a terminal sends it: no traceback of any process."""
+    options = ["--count", "500", "--workers", "2", "--config.width", "128", "--config.height", "72"]
+    command = [sys.executable, "-m", "twohands.cli.main", "generate", "static", "--out", str(tmp_path / "s"), *options]
+    run = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    index = tmp_path / "s" / "index.jsonl"
+    while run.poll() is None and not (index.is_file() and index.stat().st_size):
+        time.sleep(0.05)
+    import os
+
+    os.killpg(run.pid, signal.SIGINT)
+    _, errors = run.communicate(timeout=60)
+    assert run.returncode == 130
+    assert errors.splitlines()[-1] == "twohands: interrupted" and "Traceback" not in errors
+    assert "run the same command again" in errors
+
+
+def test_rate_and_time_left_count_this_run_only():
+    """40 of 100 were there; 20 more in 10 s are 2 a second, and the last 40 take 20 s."""
+    said: list[str] = []
+    now = iter([0.0, 5.0, 10.0, 12.0])
+    log = RateLog("frames", said.append, clock=lambda: next(now), seconds=8.0)
+    for done in (40, 50, 60, 64):
+        log(done, 100)
+    assert said == ["frames 60/100, 2.0/s, 0:20 left"]
+    assert [duration(s) for s in (0, 59.6, 3600, 11220)] == ["0:00", "1:00", "1:00:00", "3:07:00"]

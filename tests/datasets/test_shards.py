@@ -1,0 +1,98 @@
+"""Shards give the samples that folders give; what is damaged or not finished is named."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.datasets import fakes
+
+from twohands.datasets.base import HandDataset
+from twohands.datasets.ego3dhands import Ego3DHands
+from twohands.datasets.inspect import inspect_dataset
+from twohands.datasets.shards import ShardedEgo3DHands, open_ego3dhands
+from twohands.errors import DataFormatError, InputError
+from twohands.synth.manifest import claimed_folder
+from twohands.synth.sinks import FolderSink, ShardSink
+
+NAMES = [f"{i:05d}" for i in range(5)]
+
+
+@pytest.fixture(scope="module")
+def sets(tmp_path_factory) -> tuple[Path, Path]:
+    """The same five instances as folders and as shards of two."""
+    root = tmp_path_factory.mktemp("sets")
+    config = {"config": {"hand_length": 0.1}}
+    with claimed_folder(root / "folders", config, {}), claimed_folder(root / "shards", config, {}):
+        folders, shards = FolderSink(root / "folders", NAMES), ShardSink(root / "shards", NAMES, 2)
+        for i, name in enumerate(NAMES):
+            fakes.write_instance(root / "plain" / name, left=i != 1, right=i != 3)
+            files = {path.name: path.read_bytes() for path in (root / "plain" / name).iterdir()}
+            folders.write(name, files)
+            shards.write(name, files)
+        folders.close()
+        shards.close()
+    return root / "folders", root / "shards"
+
+
+def test_same_samples_from_shards_and_folders(sets):
+    folders, shards = open_ego3dhands(sets[0]), open_ego3dhands(sets[1])
+    assert isinstance(folders, Ego3DHands) and isinstance(shards, ShardedEgo3DHands)
+    assert isinstance(shards, HandDataset) and len(shards) == len(folders) == 5
+    for index in (4, 0, 1, 3):
+        one, two = folders[index], shards[index]
+        assert one.source == two.source == NAMES[index]
+        for name in ("image", "present", "joints_px", "joints_m", "valid", "labels", "depth_m"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
+        assert one.camera == two.camera
+
+
+def test_sound_sets_have_no_problem(sets):
+    for root in sets:
+        report = inspect_dataset(open_ego3dhands(root))
+        assert report.problems == () and report.instances == 5
+
+
+def test_a_changed_file_is_found_by_its_hash(sets, tmp_path):
+    shutil.copytree(sets[0], tmp_path / "set")
+    image = tmp_path / "set" / "00002" / "color_new.png"
+    other = tmp_path / "set" / "00003" / "color_new.png"
+    image.write_bytes(other.read_bytes())  # a sound picture of another hand
+    shutil.rmtree(tmp_path / "set" / "00004")
+    problems = {(p.source, p.message.split(":")[0]) for p in inspect_dataset(Ego3DHands(tmp_path / "set")).problems}
+    assert problems == {
+        ("00002", "its files are not those that were written"),
+        ("00004", "listed in index.jsonl but not there"),
+    }
+
+
+def test_damaged_and_unfinished_shards_are_named(sets, tmp_path):
+    shutil.copytree(sets[1], tmp_path / "set")
+    shard = tmp_path / "set" / "shard-000001.tar"
+    shard.write_bytes(shard.read_bytes()[:3000])
+    (tmp_path / "set" / "shard-000002.tar").unlink()
+    dataset = ShardedEgo3DHands(tmp_path / "set")
+    assert len(dataset) == 2
+    assert [path.name for path, _ in dataset.skipped] == ["shard-000001.tar", "shard-000002.tar"]
+    first = tmp_path / "set" / "shard-000000.tar"
+    first.write_bytes(bytes(len(first.read_bytes())))
+    with pytest.raises(DataFormatError, match=r"shard-000000.tar: 00001 is not where"):
+        dataset[1]
+    assert {p.source for p in inspect_dataset(dataset).problems} >= {"00000", "00001"}
+
+
+def test_bad_folders_are_named(sets, tmp_path):
+    with pytest.raises(InputError, match="no such folder"):
+        open_ego3dhands(tmp_path / "nowhere")
+    shutil.copytree(sets[1], tmp_path / "set")
+    (tmp_path / "set" / "index.jsonl").unlink()
+    with pytest.raises(DataFormatError, match=r"index.jsonl cannot be read"):
+        open_ego3dhands(tmp_path / "set")
+
+
+def test_hand_length_is_that_of_the_manifest(tmp_path):
+    """A set of other hands than the official 10 cm is not a set of 10 cm hands with a fault in every picture."""
+    fakes.write_instance(tmp_path / "set" / "0")
+    for length, problems in (("0.09", 2), ("null", 0), ("0.1", 0)):
+        (tmp_path / "set" / "manifest.json").write_text(f'{{"config": {{"hand_length": {length}}}}}')
+        assert len(inspect_dataset(Ego3DHands(tmp_path / "set")).problems) == problems
