@@ -112,9 +112,7 @@ def open_dataset(root: str | os.PathLike[str], options: DatasetOptions | None = 
         samples = rhd.RHD(root, cast(rhd.Split, split), hands=options.hands)
         return OpenedDataset(kind, samples, all_hands_labelled=both, visible_only=True)
     if kind == "freihand":
-        return OpenedDataset(
-            kind, freihand.FreiHAND(root, cast(freihand.Split, split), background=options.background)
-        )
+        return OpenedDataset(kind, freihand.FreiHAND(root, cast(freihand.Split, split), background=options.background))
     samples = interhand.InterHand(root, cast(interhand.Split, split), subset=options.subset)
     return OpenedDataset(kind, samples)
 

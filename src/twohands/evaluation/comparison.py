@@ -102,7 +102,7 @@ class Comparison:
             A comparison of equal length. What belongs to whole images (masks, the vector between the hands) is empty.
         """
         errors = {
-            field.name: np.where(keep.reshape(*keep.shape, *[1] * (values.ndim - 2)), values, np.nan)
+            field.name: np.where(np.expand_dims(keep, tuple(range(2, values.ndim))), values, np.nan)
             for field in fields(self)
             if field.name not in _NOT_BY_HAND
             for values in [getattr(self, field.name)]
@@ -213,7 +213,10 @@ def _comparison(predictions: Predictions, truth: _Labels, protocol: Protocol) ->
     spherical_mm, cartesian_mm = (
         joints(
             by_hand(
-                m.endpoint_errors, 1e3 * np.asarray(align(predictions.canonical, length, truth.joints_m)), true_mm, found
+                m.endpoint_errors,
+                1e3 * np.asarray(align(predictions.canonical, length, truth.joints_m)),
+                true_mm,
+                found,
             )
         )
         for align in (spherical_alignment, cartesian_alignment)
@@ -237,7 +240,9 @@ def _comparison(predictions: Predictions, truth: _Labels, protocol: Protocol) ->
         camera_mm=joints(by_hand(m.endpoint_errors, 1e3 * predictions.joints_m, true_mm, valid)),
         root=by_hand(m.spherical_errors, roots, true_roots, valid),
         relative_root_mm=1e3 * m.relative_root_errors(roots, true_roots, valid),
-        acceleration=_accelerations(predictions.sources, np.where(valid[..., None], roots, np.nan), true_roots, protocol),
+        acceleration=_accelerations(
+            predictions.sources, np.where(valid[..., None], roots, np.nan), true_roots, protocol
+        ),
         intersections=pairs[0],
         unions=pairs[1],
     )
@@ -263,7 +268,7 @@ def covered_share(boxes_px: m.FloatArray) -> m.FloatArray:
         (N, 2) 0..1; 0 for a hand that is alone, NaN for a hand without box or with one that has no area.
     """
     own, other = boxes_px, boxes_px[:, ::-1]
-    sides = np.clip(np.minimum(own[..., 2:], other[..., 2:]) - np.maximum(own[..., :2], other[..., :2]), 0.0, None)
+    sides = np.maximum(np.minimum(own[..., 2:], other[..., 2:]) - np.maximum(own[..., :2], other[..., :2]), 0.0)
     area = np.prod(own[..., 2:] - own[..., :2], axis=-1)
     share = np.nan_to_num(np.prod(sides, axis=-1)) / np.where(area > 0, area, np.nan)
     return np.asarray(share)

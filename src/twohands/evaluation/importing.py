@@ -11,7 +11,7 @@ import zipfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 
@@ -127,36 +127,44 @@ def _hand(
 
 def _read_json(path: Path) -> ForeignPredictions:
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content: Any = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise DataFormatError(f"{path}: not a readable JSON file ({error})") from None
-    if not isinstance(content, dict) or not isinstance(content.get("images"), list):
+    top = _object(content)
+    if top is None or not isinstance(top.get("images"), list):
         raise DataFormatError(f"{path}: expected an object with version, system and a list 'images'")
-    _check_version(path, content.get("version"))
+    _check_version(path, top.get("version"))
     hands: dict[str, tuple[Mapping[str, Any] | None, Mapping[str, Any] | None]] = {}
-    for number, image in enumerate(content["images"]):
-        if not isinstance(image, dict) or not isinstance(image.get("source"), str):
+    for number, entry in enumerate(cast("list[Any]", top["images"])):
+        image = _object(entry)
+        if image is None or not isinstance(image.get("source"), str):
             raise DataFormatError(f"{path}: entry {number} of images has no 'source'")
-        source = image["source"]
+        source: str = image["source"]
         if source in hands:
             raise DataFormatError(f"{path}: image '{source}' is there twice")
         if absent := [side for side in SIDES if side not in image]:
             raise DataFormatError(f"{path}: image '{source}' says nothing about the {absent[0]} hand; null if absent")
         left, right = (_said(path, source, side, image[side]) for side in SIDES)
         hands[source] = (left, right)
-    return _not_empty(ForeignPredictions(path, str(content.get("system", path.stem)), hands))
+    return _not_empty(ForeignPredictions(path, str(top.get("system", path.stem)), hands))
 
 
 def _said(path: Path, source: str, side: str, value: Any) -> Mapping[str, Any] | None:
     if value is None:
         return None
-    if not isinstance(value, dict):
+    said = _object(value)
+    if said is None:
         raise DataFormatError(f"{path}: image '{source}', {side} hand: an object or null expected")
-    if unknown := sorted(set(value) - set(FIELDS)):
+    if unknown := sorted(said.keys() - set(FIELDS)):
         raise DataFormatError(
             f"{path}: image '{source}', {side} hand: unknown '{unknown[0]}'; known: {', '.join(FIELDS)}"
         )
-    return value
+    return said
+
+
+def _object(value: Any) -> dict[str, Any] | None:
+    """A JSON object, or None for anything else."""
+    return cast("dict[str, Any]", value) if isinstance(value, dict) else None
 
 
 def _read_npz(path: Path) -> ForeignPredictions:

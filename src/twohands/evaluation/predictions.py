@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twohands.errors import DataFormatError, InputError
-from twohands.skeleton import N_JOINTS, SIDES
-from twohands.types import HandPose, HandSample, TwoHandPose
+from twohands.skeleton import N_JOINTS, ROOT, SIDES
+from twohands.types import HandPose, HandSample, PinholeCamera, TwoHandPose
 
 VERSION: Final = 1
 
@@ -82,6 +82,34 @@ class Predictions:
         """(H, W) uint8 mask of one image, or None if none was recorded."""
         data = self.masks_png[index]
         return np.asarray(_decode_png(data)) if data else None
+
+    def pose(self, index: int, camera: PinholeCamera) -> TwoHandPose:
+        """What was said about one image, as the estimator says it."""
+        left, right = (self._hand(index, side) for side in (0, 1))
+        return TwoHandPose(left, right, camera, self.mask(index), index)
+
+    def _hand(self, index: int, side: int) -> HandPose:
+        if not self.present[index, side]:
+            return HandPose(present=False)
+
+        def known(name: str) -> NDArray[np.float64] | None:
+            values = getattr(self, name)[index, side]
+            return values if np.isfinite(values).all() else None
+
+        valid = bool(self.valid[index, side])
+        joints_m = known("joints_m") if valid else None
+        score = float(self.score[index, side])
+        return HandPose(
+            present=True,
+            score=score if np.isfinite(score) else None,
+            box_px=known("box_px"),
+            joints_px=known("joints_px"),
+            joint_scores=known("joint_scores"),
+            canonical=known("canonical"),
+            joints_m=joints_m,
+            range_m=None if joints_m is None else float(np.linalg.norm(joints_m[ROOT])),
+            valid=valid,
+        )
 
 
 class Fingerprint:
@@ -255,9 +283,10 @@ def check_predictions(predictions: Predictions, where: str) -> None:
         seen.add(source)
     for name in ("box_px", "joints_px", "canonical", "joints_m"):
         values: NDArray[np.float64] = getattr(predictions, name)
-        flat = np.isfinite(values.reshape(*values.shape[:2], -1))  # (N, 2, K)
-        partly = flat.any(axis=2) & ~flat.all(axis=2)
-        infinite = np.isinf(values).reshape(*values.shape[:2], -1).any(axis=2)
+        within = tuple(range(2, values.ndim))
+        finite = np.isfinite(values)
+        partly = np.any(finite, axis=within) & ~np.all(finite, axis=within)  # (N, 2)
+        infinite = np.any(np.isinf(values), axis=within)
         _refuse(predictions, predictions.present & (partly | infinite), f"{name} that are not all finite", where)
     no_joints = ~np.isfinite(predictions.joints_m).all(axis=(2, 3))
     _refuse(predictions, predictions.present & predictions.valid & no_joints, "no joints_m though it is valid", where)

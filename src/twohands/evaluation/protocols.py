@@ -94,7 +94,9 @@ def _mask_metrics(c: Comparison) -> list[Metric]:
     background, left, right = (float(value) for value in m.dataset_iou(c.intersections, c.unions))
     images, pooled = len(c.unions), "pixels of all images pooled"
     return [
-        Metric("miou", "mIoU (per image)", m.mean_iou(c.intersections, c.unions), "", images, "mean over images, hands"),
+        Metric(
+            "miou", "mIoU (per image)", m.mean_iou(c.intersections, c.unions), "", images, "mean over images, hands"
+        ),
         Metric("iou", "IoU of the hands (pooled)", _known_mean([left, right]), "", images, pooled, left, right),
         Metric("iou_background", "IoU of the background (pooled)", background, "", images, pooled),
     ]
@@ -158,7 +160,9 @@ def _camera_space_metrics(c: Comparison) -> list[Metric]:
         _error("cs_mpjpe", "CS-MPJPE", "mm", c.camera_mm, m.finite_mean),
         _pooled("cs_median", "camera-space error, median, pooled", "mm", c.camera_mm, m.finite_median),
         *(
-            _share(f"failure_{limit:.0f}mm", f"failure rate (missed or CS-MPJPE > {limit / 10:.0f} cm)", c.camera_mm, rate)
+            _share(
+                f"failure_{limit:.0f}mm", f"failure rate (missed or CS-MPJPE > {limit / 10:.0f} cm)", c.camera_mm, rate
+            )
             for limit in FAILURE_MM
             for rate in [_failing(limit)]
         ),
@@ -170,7 +174,9 @@ def _motion_metrics(c: Comparison) -> list[Metric]:
     if np.isnan(c.acceleration).all():
         return []
     return [
-        _error(f"acceleration_{key}", f"acceleration error, root, {key}", "m/s2", c.acceleration[..., part], m.finite_mean)
+        _error(
+            f"acceleration_{key}", f"acceleration error, root, {key}", "m/s2", c.acceleration[..., part], m.finite_mean
+        )
         for part, key in enumerate(("tangential", "radial"))
     ]
 
@@ -211,7 +217,9 @@ def _count(
 ) -> Metric:
     """How often something happened among the hands that count; NaN, not 0, where none does."""
     numbers = [
-        float((happened & counted)[:, s].sum() / (counted[:, s].sum() if share else 1)) if counted[:, s].any() else np.nan
+        float((happened & counted)[:, s].sum() / (counted[:, s].sum() if share else 1))
+        if counted[:, s].any()
+        else np.nan
         for s in (LEFT, RIGHT)
     ]
     total = int(counted.sum())

@@ -19,7 +19,7 @@ from twohands.evaluation.comparison import DEFAULT_PROTOCOL, Protocol, compare
 from twohands.evaluation.completion import hand_lengths_m
 from twohands.evaluation.predictions import Predictions, predict
 from twohands.evaluation.protocols import metrics_of
-from twohands.evaluation.report import Metric, format_number
+from twohands.evaluation.report import Metric
 from twohands.geometry.projection import Method, project_global
 from twohands.inference.ground_truth import Stage
 from twohands.types import HandSample, PinholeCamera, TwoHandPose
@@ -48,26 +48,26 @@ class Study:
 
 
 STUDIES: Final = (
-    Study("global", "nothing but the global step", ("presence", "masks", "boxes", "joints-2d", "heatmaps", "canonical")),
+    Study("global", "global step alone", ("presence", "masks", "boxes", "joints-2d", "heatmaps", "canonical")),
     Study("2d", "PoseNet2D", ("presence", "masks", "boxes", "canonical"), "global", "2D joints"),
     Study(
         "3d-true-maps",
-        "PoseNet3D on true heatmaps",
+        "PoseNet3D, true heatmaps",
         ("presence", "masks", "boxes", "joints-2d", "heatmaps"),
         "global",
-        "canonical pose, of perfect maps",
+        "3D pose, perfect maps",
     ),
     Study(
         "3d",
-        "PoseNet3D on PoseNet2D's heatmaps",
+        "PoseNet3D, estimated heatmaps",
         ("presence", "masks", "boxes", "joints-2d"),
         "3d-true-maps",
-        "imperfect maps",
+        "maps not perfect",
     ),
-    Study("pose", "PoseNet2D and PoseNet3D", ("presence", "masks", "boxes"), "2d", "canonical pose"),
-    Study("masks", "masks too", ("presence", "boxes"), "pose", "masks"),
-    Study("boxes", "masks and boxes too", ("presence",), "masks", "boxes"),
-    Study("complete", "everything (complete)", (), "boxes", "presence"),
+    Study("pose", "both pose networks", ("presence", "masks", "boxes"), "2d", "3D pose"),
+    Study("masks", "... and masks", ("presence", "boxes"), "pose", "masks"),
+    Study("boxes", "... and boxes", ("presence",), "masks", "boxes"),
+    Study("complete", "complete", (), "boxes", "presence"),
 )
 
 
@@ -90,20 +90,6 @@ class BudgetRow:
     study: Study
     metrics: dict[Method, dict[str, Metric]]
 
-    def value(self, key: str, method: Method = "all-joints") -> float:
-        """One number; NaN where there is nothing to measure."""
-        return self.metrics[method][key].value
-
-
-COLUMNS: Final[tuple[tuple[str, str, str], ...]] = (
-    ("error_2d_mean", "2D", "px"),
-    ("error_3d_spherical_mean", "canonical pose", "mm"),
-    ("direction_median", "direction", "deg"),
-    ("range_median", "range", "cm"),
-    ("cs_mpjpe", "CS-MPJPE", "mm"),
-)
-"""Metric key, heading, unit of the table's columns; those of the last two depend on the method."""
-
 
 @dataclass(frozen=True, slots=True)
 class Budget:
@@ -122,23 +108,6 @@ class Budget:
     images: int
     rows: tuple[BudgetRow, ...]
     notes: tuple[str, ...] = field(default=())
-
-    def row(self, key: str) -> BudgetRow:
-        """A study's row.
-
-        Raises:
-            KeyError: there is none.
-        """
-        for row in self.rows:
-            if row.study.key == key:
-                return row
-        raise KeyError(key)
-
-    def cost(self, row: BudgetRow, key: str, method: Method = "all-joints") -> float:
-        """What a row's stage adds to a metric; NaN for the first row."""
-        if row.study.against is None:
-            return float("nan")
-        return row.value(key, method) - self.row(row.study.against).value(key, method)
 
     def to_dict(self) -> dict[str, Any]:
         """JSON values; NaN becomes None."""
@@ -167,38 +136,6 @@ class Budget:
                 for row in self.rows
             ],
         }
-
-    def results_table(self) -> list[list[str]]:
-        """Heading and one row a study: what was estimated, the errors, hands missed."""
-        head = ["estimated", "2D (px)", "canonical pose (mm)", "direction (deg)"]
-        head += [f"{name} ({unit}), {how}" for name, unit in (("range", "cm"), ("CS-MPJPE", "mm")) for how in _HOW]
-        table = [[*head, "hands missed"]]
-        for row in self.rows:
-            numbers = [row.value(key) for key in ("error_2d_mean", "error_3d_spherical_mean", "direction_median")]
-            numbers += [row.value(key, method) for key in ("range_median", "cs_mpjpe") for method in METHODS]
-            table.append([row.study.name, *(format_fixed(number) for number in numbers), format_number(row.value("missed"))])
-        return table
-
-    def costs_table(self) -> list[list[str]]:
-        """Heading and one row a stage: what it adds, in px, mm, degrees and cm."""
-        table = [["stage", "compared with", *(f"{name} ({unit})" for _, name, unit in COLUMNS), "hands missed"]]
-        for row in self.rows:
-            if row.study.against is None:
-                continue
-            costs = [self.cost(row, key) for key, _, _ in COLUMNS]
-            missed = self.cost(row, "missed")
-            table.append(
-                [
-                    row.study.stage,
-                    self.row(row.study.against).study.name,
-                    *(_signed(cost) for cost in costs),
-                    "n/a" if np.isnan(missed) else f"{missed:+.0f}",
-                ]
-            )
-        return table
-
-
-_HOW: Final = ("key bone", "all joints")
 
 
 def error_budget(
@@ -240,7 +177,9 @@ def error_budget(
             labels.append(replace(sample, image=blank, labels=None, depth_m=None))  # noqa: B023
             return pose
 
-        predictions = predict(samples(study.name), noted, dataset=dataset, weights=weights, settings={"study": study.key})
+        predictions = predict(
+            samples(study.name), noted, dataset=dataset, weights=weights, settings={"study": study.key}
+        )
         metrics: dict[Method, dict[str, Metric]] = {}
         for method in METHODS:
             placed = solved_again(predictions, cameras, np.array(lengths), method)
@@ -274,12 +213,3 @@ def solved_again(
         joints_m[index] = np.where(valid[index][:, None, None], pose.joints_m, np.nan)
     no_masks = (b"",) * len(predictions)
     return replace(predictions, joints_m=joints_m, valid=valid, masks_png=no_masks)
-
-
-def format_fixed(number: float) -> str:
-    """Three digits behind the point; "n/a" for NaN."""
-    return "n/a" if np.isnan(number) else f"{number:.3f}"
-
-
-def _signed(number: float) -> str:
-    return "n/a" if np.isnan(number) else f"{number:+.3f}"

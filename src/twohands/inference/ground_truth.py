@@ -22,7 +22,7 @@ from twohands.inference.estimator import HandEstimator, StageTruth
 from twohands.types import HandSample, TwoHandPose
 
 Stage = Literal["presence", "masks", "boxes", "joints-2d", "heatmaps", "canonical"]
-"""What can be replaced. "heatmaps" are those that PoseNet3D reads; "joints-2d" the pixels that the range is solved from."""
+"""What can be replaced. "heatmaps" are read by PoseNet3D, from "joints-2d" the range is solved."""
 STAGES: Final[tuple[Stage, ...]] = get_args(Stage)
 
 
@@ -33,7 +33,7 @@ class HeatmapTargets:
     Attributes:
         sigma: standard deviation of the Gaussian at canonical depth 0, in map cells.
         with_depth: whether the spread carries the depth (z-heatmaps, paper section 4.2).
-        probabilities: whether every map has the same mass, that of a Gaussian of `sigma` and peak 1, as softmax maps do.
+        probabilities: whether every map has the mass of a Gaussian of `sigma` and peak 1, as softmax maps do.
     """
 
     sigma: float = 2.0
@@ -154,7 +154,7 @@ def true_heatmaps(
     Returns:
         (21, map_size, map_size) float32.
     """
-    inside = ((joints_crop_px >= 0) & (joints_crop_px <= crop_size)).all(axis=-1)
+    inside = np.all((joints_crop_px >= 0) & (joints_crop_px <= crop_size), axis=-1)
     seen = np.where(inside[:, None], joints_crop_px, np.nan)
     depth = z if targets.with_depth else None
     maps = np.asarray(encode_heatmaps(seen, crop_size=crop_size, map_size=map_size, sigma=targets.sigma, z=depth))
