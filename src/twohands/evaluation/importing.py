@@ -90,8 +90,8 @@ def import_predictions(
     def estimate(sample: HandSample) -> TwoHandPose:
         if sample.source not in foreign.hands:
             raise DataFormatError(
-                f"{foreign.path}: image '{sample.source}' is missing; every image of the dataset is needed, one without "
-                "hands with null for both"
+                f"{foreign.path}: image '{sample.source}' is missing; every image of the dataset is needed, "
+                "one without hands with null for both"
             )
         used.add(sample.source)
         left, right = (

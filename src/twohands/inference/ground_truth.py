@@ -34,11 +34,13 @@ class HeatmapTargets:
         sigma: standard deviation of the Gaussian at canonical depth 0, in map cells.
         with_depth: whether the spread carries the depth (z-heatmaps, paper section 4.2).
         probabilities: whether every map has the mass of a Gaussian of `sigma` and peak 1, as softmax maps do.
+        map_size: side of the maps in cells.
     """
 
     sigma: float = 2.0
     with_depth: bool = True
     probabilities: bool = False
+    map_size: int = 32
 
     @classmethod
     def from_folder(cls, folder: Path) -> HeatmapTargets:
@@ -55,6 +57,7 @@ class HeatmapTargets:
                 sigma=float(net.get("sigma", 2.0)),
                 with_depth=bool(loss.get("z_heatmaps", True)),
                 probabilities=net.get("activation") == "softmax",
+                map_size=int(net.get("map_size", 32)),
             )
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise CheckpointError(f"{folder / 'card.json'}: not a readable card: {error}") from None
@@ -106,7 +109,6 @@ class TruthfulEstimator:
         self.estimator = estimator
         self.stages = stages
         self._targets = targets or HeatmapTargets()
-        self._map_size: int | None = None
 
     def __call__(self, sample: HandSample) -> TwoHandPose:
         """Estimates one sample.
@@ -130,10 +132,8 @@ class TruthfulEstimator:
                 continue
             masks = no_mask if truth.masks is None else truth.masks
             crop = self.estimator.crop(sample.image, masks, truth.boxes_px[side], side, sample.camera)
-            if self._map_size is None:
-                self._map_size = int(self.estimator.locate([crop]).shape[-1])
             joints = apply_homography(np.linalg.inv(crop.image_from_crop), sample.joints_px[side])
-            maps[side] = true_heatmaps(joints, canonical[side, :, 2], card.crop_size, self._map_size, self._targets)
+            maps[side] = true_heatmaps(joints, canonical[side, :, 2], card.crop_size, self._targets)
         if not maps:
             return None
         empty = np.zeros_like(next(iter(maps.values())))
@@ -141,23 +141,23 @@ class TruthfulEstimator:
 
 
 def true_heatmaps(
-    joints_crop_px: np.ndarray, z: np.ndarray, crop_size: int, map_size: int, targets: HeatmapTargets
+    joints_crop_px: np.ndarray, z: np.ndarray, crop_size: int, targets: HeatmapTargets
 ) -> np.ndarray:
     """Maps as a perfect PoseNet2D would give them.
 
     Args:
         joints_crop_px: (21, 2) pixels of the crop; joints outside it have empty maps.
         z: (21,) canonical depth.
-        crop_size, map_size: sides of crop and maps.
+        crop_size: side of the crop in pixels.
         targets: how they look.
 
     Returns:
-        (21, map_size, map_size) float32.
+        (21, M, M) float32.
     """
     inside = np.all((joints_crop_px >= 0) & (joints_crop_px <= crop_size), axis=-1)
     seen = np.where(inside[:, None], joints_crop_px, np.nan)
     depth = z if targets.with_depth else None
-    maps = np.asarray(encode_heatmaps(seen, crop_size=crop_size, map_size=map_size, sigma=targets.sigma, z=depth))
+    maps = np.asarray(encode_heatmaps(seen, crop_size=crop_size, map_size=targets.map_size, sigma=targets.sigma, z=depth))
     if targets.probabilities:
         mass = maps.sum(axis=(1, 2), keepdims=True)
         maps = maps / np.maximum(mass, 1e-12) * (2 * np.pi * targets.sigma**2)
