@@ -88,7 +88,7 @@ def test_budget_and_report(data: Path, weights: Path, tmp_path: Path, capsys: py
     budget, ours, out = tmp_path / "budget.json", str(tmp_path / "p.npz"), tmp_path / "report"
     assert main(["eval", "budget", str(data), "--weights", str(weights), "--out", str(budget)]) == 0
     printed = capsys.readouterr().out
-    assert "0.000 / 0.000" in printed
+    assert "global" in printed and printed.count("0.000") >= 7
     first = json.loads(budget.read_text())["rows"][0]
     for method in ("keybone", "all-joints"):
         assert first["metrics"][method]["cs_mpjpe"] == pytest.approx(0, abs=1e-3)  # the labels are float32 in cm
@@ -104,7 +104,7 @@ def test_budget_and_report(data: Path, weights: Path, tmp_path: Path, capsys: py
     assert "| global step alone | 0.000 | 0.000 | 0.000 | 0.000 / 0.000 | 0.000 / 0.000 | 0 |" in text
     assert "0.955" in text and "> tiny" in text
     page = (out / "report.html").read_text()
-    assert page.startswith("<!DOCTYPE html>") and "<svg" in page and "src=\"data:image/png" in page
+    assert page.startswith("<!DOCTYPE html>") and "<svg" in page and 'src="data:image/png' in page
     assert "http://" not in page.replace("http://www.w3.org", "").replace("http://purl.org", "")  # nothing is fetched
     assert main(arguments) == 2
     assert "is not empty" in capsys.readouterr().err

@@ -55,8 +55,11 @@ def check_perfect(metrics: dict[str, dict], hands: int) -> None:
     assert metrics["missed"]["value"] == 0 and metrics["failure_100mm"]["value"] == 0
 
 
-@pytest.mark.parametrize(("kind", "hands"), [("ego3dhands", 2), ("stb", 4), ("rhd", 2), ("freihand", 2), ("interhand", 2)])
+@pytest.mark.parametrize(
+    ("kind", "hands"), [("ego3dhands", 2), ("stb", 4), ("rhd", 2), ("freihand", 2), ("interhand", 2)]
+)
 def test_ground_truth_is_perfect(kind: str, hands: int, tmp_path: Path, weights: Path) -> None:
+    (tmp_path / "data").mkdir(exist_ok=True)
     WRITERS[kind](tmp_path / "data")
     assert detect_kind(tmp_path / "data") == kind
     check_perfect(scores(tmp_path / "data", weights, tmp_path / "r.json"), hands)

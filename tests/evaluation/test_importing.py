@@ -113,7 +113,10 @@ def broken(change) -> dict[str, Any]:
         (lambda c: c["images"][2].pop("right"), "image '00002' says nothing about the right hand"),
         (lambda c: c["images"][0]["left"].update(joint=1), "unknown 'joint'"),
         (lambda c: c["images"][0]["left"].update(joints_m=[[0, 0, 1]] * 20), r"'00000', left hand: joints_m: shape"),
-        (lambda c: c["images"][0]["left"]["joints_m"][3].__setitem__(0, float("nan")), "1 of 63 numbers are not finite"),
+        (
+            lambda c: c["images"][0]["left"]["joints_m"][3].__setitem__(0, float("nan")),
+            "1 of 63 numbers are not finite",
+        ),
         (lambda c: c["images"][0]["left"].update(joints_m="far"), "left hand: joints_m: numbers of shape"),
         (lambda c: c["images"][0].update(left={}), "needs at least one of"),
         (lambda c: c["images"][0].update(left=3), "an object or null expected"),

@@ -77,7 +77,7 @@ def test_targets_from_a_card(tmp_path: Path) -> None:
 
 
 def test_true_heatmaps_belong_to_the_pipelines_crops() -> None:
-    """Read out like PoseNet2D's, mirrored right hands included, they give the labelled joints; the network is not run."""
+    """Read out like PoseNet2D's, right hands mirrored, they give the labelled joints; the network is not run."""
     sample = drawn_hands(2)
     networks = replace(UNUSED, pose_net_3d=lambda maps: np.zeros((len(maps), 21, 3)))
     estimate = TruthfulEstimator(HandEstimator(networks, make_card()), ("masks", "boxes", "heatmaps"))

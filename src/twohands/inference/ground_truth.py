@@ -140,9 +140,7 @@ class TruthfulEstimator:
         return np.stack([maps.get(side, empty) for side in (0, 1)])
 
 
-def true_heatmaps(
-    joints_crop_px: np.ndarray, z: np.ndarray, crop_size: int, targets: HeatmapTargets
-) -> np.ndarray:
+def true_heatmaps(joints_crop_px: np.ndarray, z: np.ndarray, crop_size: int, targets: HeatmapTargets) -> np.ndarray:
     """Maps as a perfect PoseNet2D would give them.
 
     Args:
@@ -157,7 +155,9 @@ def true_heatmaps(
     inside = np.all((joints_crop_px >= 0) & (joints_crop_px <= crop_size), axis=-1)
     seen = np.where(inside[:, None], joints_crop_px, np.nan)
     depth = z if targets.with_depth else None
-    maps = np.asarray(encode_heatmaps(seen, crop_size=crop_size, map_size=targets.map_size, sigma=targets.sigma, z=depth))
+    maps = np.asarray(
+        encode_heatmaps(seen, crop_size=crop_size, map_size=targets.map_size, sigma=targets.sigma, z=depth)
+    )
     if targets.probabilities:
         mass = maps.sum(axis=(1, 2), keepdims=True)
         maps = maps / np.maximum(mass, 1e-12) * (2 * np.pi * targets.sigma**2)
