@@ -209,6 +209,7 @@ def write_tiny_weights(folder: Path, *, crop_size: int = 32, map_size: int = 8, 
             "crop_kind": "square",
             "crop_margin": 1.5,
             "heatmap_decode": "subpixel",
+            "map_size": map_size,
         },
     }
     (folder / "card.json").write_text(json.dumps(card))

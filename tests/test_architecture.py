@@ -17,7 +17,7 @@ STOREYS = [
     {"types", "skeleton", "errors", "ego3dhands_format", "instance_index"},
     {"geometry"},
     {"synth", "datasets", "models", "evaluation"},
-    {"training", "inference"},
+    {"training", "inference", "peers"},
     {"visualization", "export"},
     {"cli"},
 ]

@@ -3,18 +3,13 @@
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 from tests.datasets import fakes
 from tests.oracles import write_tiny_weights
 
-from twohands.cli.eval import stage_truth
 from twohands.cli.main import main
-from twohands.datasets.ego3dhands import Ego3DHands
-from twohands.errors import InputError
-from twohands.skeleton import LEFT, RIGHT
 
-ALL_STAGES = ["presence", "masks", "boxes", "joints-2d", "canonical"]
+ALL_STAGES = ["presence", "masks", "boxes", "joints-2d", "heatmaps", "canonical"]
 
 
 @pytest.fixture
@@ -88,20 +83,80 @@ def test_scoring_other_data_is_refused(
     assert "predictions belong to other data" in capsys.readouterr().err
 
 
-def test_stage_truth_takes_only_what_is_named(data: Path) -> None:
-    sample = Ego3DHands(data)[1]
-    nothing = stage_truth(sample, ())
-    assert all(getattr(nothing, name) is None for name in ("masks", "boxes_px", "present", "joints_px", "canonical"))
-    truth = stage_truth(sample, ("masks", "boxes"))
-    assert truth.present is None and truth.joints_px is None and truth.canonical is None
-    assert truth.masks is not None and truth.boxes_px is not None and sample.labels is not None
-    np.testing.assert_array_equal(truth.masks, (sample.labels > 0).astype(int))
-    np.testing.assert_allclose(truth.boxes_px[LEFT, :2], sample.joints_px[LEFT].min(axis=0))
-    np.testing.assert_allclose(truth.boxes_px[LEFT, 2:], sample.joints_px[LEFT].max(axis=0))
-    assert np.isnan(truth.boxes_px[RIGHT]).all()
+def test_budget_and_report(data: Path, weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The isolated global step shows 0.000 in the printed table, the JSON and the report."""
+    budget, ours, out = tmp_path / "budget.json", str(tmp_path / "p.npz"), tmp_path / "report"
+    assert main(["eval", "budget", str(data), "--weights", str(weights), "--out", str(budget)]) == 0
+    printed = capsys.readouterr().out
+    assert "global" in printed and printed.count("0.000") >= 7
+    first = json.loads(budget.read_text())["rows"][0]
+    for method in ("keybone", "all-joints"):
+        assert first["metrics"][method]["cs_mpjpe"] == pytest.approx(0, abs=1e-3)  # the labels are float32 in cm
+        assert first["metrics"][method]["missed"] == 0
+    assert main(["eval", "predict", str(data), "--out", ours, "--weights", str(weights)]) == 0
+    arguments = ["eval", "report", str(data), "--predictions", ours, "--names", "ours", "--out", str(out)]
+    markdown = tmp_path / "results.md"
+    assert main([*arguments, "--budget", str(budget), "--markdown", str(markdown), "--note", "tiny"]) == 0
+    content = json.loads((out / "report.json").read_text())
+    assert content["kind"] == "ego3dhands" and content["systems"][0]["name"] == "ours" and content["notes"] == ["tiny"]
+    text = markdown.read_text()
+    assert text == (out / "report.md").read_text()
+    assert "| global step alone | 0.000 | 0.000 | 0.000 | 0.000 / 0.000 | 0.000 / 0.000 | 0 |" in text
+    assert "0.955" in text and "> tiny" in text
+    page = (out / "report.html").read_text()
+    assert page.startswith("<!DOCTYPE html>") and "<svg" in page and 'src="data:image/png' in page
+    assert "http://" not in page.replace("http://www.w3.org", "").replace("http://purl.org", "")  # nothing is fetched
+    assert main(arguments) == 2
+    assert "is not empty" in capsys.readouterr().err
 
 
-def test_masks_need_labels(data: Path) -> None:
-    (data / "0" / "gt_seg.png").unlink()
-    with pytest.raises(InputError, match="no part labels"):
-        stage_truth(Ego3DHands(data)[0], ("masks",))
+def test_report_refuses_what_does_not_fit(
+    data: Path, weights: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refused(message: str, *more: str, files: tuple[str, ...] = (str(tmp_path / "p.npz"),)) -> None:
+        capsys.readouterr()
+        out = str(tmp_path / "out")
+        assert main(["eval", "report", str(data), "--predictions", *files, "--out", out, *more]) == 2
+        assert message in " ".join(capsys.readouterr().err.split())
+        assert not (tmp_path / "out").exists()
+
+    two = (str(tmp_path / "p.npz"), str(tmp_path / "q.npz"))
+    for path, options in zip(two, ([], ["--count", "2"]), strict=True):
+        assert main(["eval", "predict", str(data), "--out", path, "--weights", str(weights), *options]) == 0
+    refused("they must hold the same", files=two)
+    refused("2 different names", "--names", "a", "a", files=(two[0], two[0]))
+    (tmp_path / "b.json").write_text("{}")
+    refused("not an error budget", "--budget", str(tmp_path / "b.json"))
+    (tmp_path / "b.json").write_text('{"version": 9}')
+    refused("budget of version 1, got 9", "--budget", str(tmp_path / "b.json"))
+    assert main(["eval", "budget", str(data / "0"), "--weights", str(weights), "--out", str(tmp_path / "c.json")]) == 0
+    refused("the budget is of other data", "--budget", str(tmp_path / "c.json"))
+    refused("no such file", files=(str(tmp_path / "none.npz"),))
+
+
+def test_import_then_score(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    images = [{"source": str(index), "left": None, "right": None} for index in range(3)]
+    (tmp_path / "theirs.json").write_text(json.dumps({"version": 1, "system": "blind", "images": images}))
+    imported = str(tmp_path / "p.npz")
+    assert main(["eval", "import", str(tmp_path / "theirs.json"), str(data), "--out", imported]) == 0
+    assert main(["eval", "score", imported, str(data), "--report", str(tmp_path / "r.json")]) == 0
+    metrics = _metrics(tmp_path / "r.json")
+    assert metrics["missed"]["value"] == 3 and metrics["auc_2d"]["value"] == 0 and metrics["cs_mpjpe"]["value"] is None
+    assert "blind" in capsys.readouterr().out
+
+
+def test_a_peer_needs_its_environment(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["eval", "predict", str(data), "--out", str(tmp_path / "p.npz"), "--peer", "mediapipe"]
+    assert main([*arguments, "--peer-python", str(tmp_path / "python")]) == 2
+    assert "cannot be run" in capsys.readouterr().err
+    assert main([*arguments, "--truth", "boxes", "--peer-python", "/bin/false"]) == 2
+    assert "a peer has none of them" in capsys.readouterr().err
+
+
+def test_smoothing_changes_ranges_of_video_only(data: Path, weights: Path, tmp_path: Path) -> None:
+    """Three frames of one folder: the tracker starts to smooth with the third; it is written into the settings."""
+    report = tmp_path / "r.json"
+    options = ["--weights", str(weights), "--smooth", "--fps", "30", "--report", str(report)]
+    assert main(["eval", "run", str(data), *options]) == 0
+    settings = json.loads(report.read_text())["settings"]
+    assert settings["smoothed"] is True

@@ -229,3 +229,58 @@ class TestCameraSpace:
         angle = np.radians(179)
         errors = m.spherical_errors([[0, np.sin(angle), np.cos(angle)]], [[0, -np.sin(angle), np.cos(angle)]], [True])
         np.testing.assert_allclose(errors[0, :3], [2, 0, 2])
+
+
+class TestFailureRate:
+    def test_misses_fail_and_unknown_joints_do_not_count(self) -> None:
+        """Means 2, 4, miss, unknown hand: of three hands, 4 and the miss are above 3."""
+        errors = [[1, 3], [4, NAN], [INF, INF], [NAN, NAN]]
+        assert m.failure_rate(errors, 3.0) == pytest.approx(2 / 3)
+        assert m.failure_rate(errors, 4.0) == pytest.approx(1 / 3)  # equal is no failure
+
+    def test_nothing_to_measure(self) -> None:
+        assert np.isnan(m.failure_rate(np.full((2, 3), NAN), 1.0))
+        assert np.isnan(m.failure_rate(np.empty((0, 3)), 1.0))
+        assert m.failure_rate(np.full((2, 3), INF), 1.0) == 1.0
+
+
+class TestAcceleration:
+    def test_split_along_and_across_the_line_of_sight(self) -> None:
+        """A resting point at (0, 0, 2); the estimate jumps by (0.03, 0.04, 0.1) in the middle frame only.
+
+        Second difference -2 x the jump, at 10 frames a second x 100: across 200 x 0.05 = 10, along 200 x 0.1 = 20.
+        """
+        truth = np.tile([0.0, 0.0, 2.0], (3, 1))
+        predicted = truth.copy()
+        predicted[1] += [0.03, 0.04, 0.1]
+        errors = m.acceleration_errors(predicted, truth, fps=10)
+        np.testing.assert_allclose(errors[1], [10, 20])
+        assert np.isnan(errors[[0, 2]]).all()
+
+    def test_the_line_of_sight_is_the_true_points(self) -> None:
+        """The same jump along x is across for a point straight ahead and along for one far to the side."""
+        truth = np.array([[[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]] * 3)
+        predicted = truth + np.array([0.0, 1.0, 0.0])[:, None, None] * [0.1, 0.0, 0.0]
+        np.testing.assert_allclose(m.acceleration_errors(predicted, truth, fps=1)[1], [[0.2, 0], [0, 0.2]], atol=1e-12)
+
+    def test_constant_offset_and_drift_cost_nothing(self) -> None:
+        time = np.arange(5.0)[:, None]
+        truth = np.array([0.1, 0.2, 1.0]) + 0.3 * time**2 * [1.0, 0.0, 0.0]
+        errors = m.acceleration_errors(truth + 0.5 + 0.2 * time, truth, fps=30)
+        np.testing.assert_allclose(errors[1:-1], 0, atol=1e-9)
+
+    def test_gaps_and_short_videos(self) -> None:
+        truth = np.tile([0.0, 0.0, 2.0], (6, 1))
+        predicted = truth.copy()
+        predicted[1] = NAN
+        known = np.isfinite(m.acceleration_errors(predicted, truth, fps=30)).all(axis=1)
+        np.testing.assert_array_equal(known, [False, False, False, True, True, False])
+        assert np.isnan(m.acceleration_errors(truth[:2], truth[:2], fps=30)).all()
+        with pytest.raises(ValueError, match="above 0"):
+            m.acceleration_errors(truth, truth, fps=0)
+
+
+def test_a_class_in_no_mask_has_no_pooled_iou() -> None:
+    """Never there and never claimed is nothing to measure, not a success."""
+    background, left, right = m.dataset_iou([[5, 2, 0]], [[6, 4, 0]])
+    assert (background, left) == (5 / 6, 2 / 4) and np.isnan(right)

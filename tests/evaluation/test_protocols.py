@@ -135,7 +135,7 @@ def test_relative_range_and_invalid_hands() -> None:
         return replace(pose, left=left, right=right)
 
     report = evaluate(predictions_for(estimate), SAMPLES)
-    assert report["range_relative_median"].value == pytest.approx(0.1)
+    assert report["range_relative_median"].value == pytest.approx(10)  # %
     assert (report["invalid"].value, report["missed"].value) == (2, 0)
     assert report["range_10cm"].right == 0  # without a range, a failure
     assert report["epe_2d_mean"].count == 5  # but still found in the image
@@ -261,6 +261,6 @@ def test_report_as_json_and_markdown() -> None:
     assert by_key["epe_2d_mean"]["right"] is None and by_key["epe_2d_mean"]["value"] == pytest.approx(3)
     assert len(by_key) == len(report.metrics)  # keys are unique
     table = report.to_markdown().splitlines()
-    assert "| range error, median | 4.000 | 4.000 | - | cm | 3 |" in table
-    assert "| hands missed | 2 | 0 | 2 | hands | 8 |" in table
+    assert "| range error, median | 4.000 | 4.000 | n/a | cm | 3 |" in table
+    assert "| hands missed | 2 | 0 | 2 | hands | 5 |" in table
     assert "| --- | ---: | ---: | ---: | --- | ---: |" in table

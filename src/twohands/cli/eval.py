@@ -1,28 +1,33 @@
-"""Measure the pipeline on a dataset: predictions are written first and scored later.
+"""Measure the pipeline, or any other system, on a dataset: predictions are written first and scored later.
 
 `predict` runs the networks and writes a predictions file, `score` scores such a file without any network, `run` does
-both and keeps nothing unless asked to.
+both and keeps nothing unless asked to; `import` reads other systems' predictions; `budget` says what each stage costs;
+`report` sets predictions side by side. docs/evaluation.md describes metrics, protocols and files.
 """
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+import shlex
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
-import numpy as np
 import tyro
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from twohands.cli.output import write_file
-from twohands.datasets.ego3dhands import Ego3DHands
-from twohands.errors import InputError
-from twohands.evaluation.metrics import hand_masks
+from twohands.cli.output import check_output_folder, write_file
+from twohands.datasets.base import HandDataset
+from twohands.datasets.opening import DatasetOptions, OpenedDataset, open_dataset
+from twohands.errors import DataFormatError, InputError
+from twohands.evaluation.comparison import Comparison, Protocol, compare
+from twohands.evaluation.importing import import_predictions, read_foreign
 from twohands.evaluation.predictions import (
     Predictions,
     check_predictions_path,
@@ -32,30 +37,71 @@ from twohands.evaluation.predictions import (
 )
 from twohands.evaluation.protocols import evaluate
 from twohands.evaluation.report import EvaluationReport, table_row
-from twohands.geometry.boxes import box_from_points
-from twohands.geometry.canonical import canonical_from_camera
-from twohands.inference.estimator import HandEstimator, StageTruth
+from twohands.evaluation.summary import Summary, budget_costs, budget_results, is_number, summarise
+from twohands.evaluation.summary import Table as TextTable
+from twohands.inference.budget import STUDIES, Study, error_budget, studies_without_masks
+from twohands.inference.budget import VERSION as BUDGET_VERSION
+from twohands.inference.estimator import HandEstimator
+from twohands.inference.ground_truth import HeatmapTargets, Stage, TruthfulEstimator
+from twohands.inference.tracker import HandTracker
 from twohands.inference.weights import DEFAULT_PRESET, NETWORK_NAMES, preset_folder
+from twohands.peers.base import Handedness
+from twohands.peers.mediapipe_hands import MediaPipeHands, Placement
 from twohands.types import HandSample, TwoHandPose
 
-Stage = Literal["presence", "masks", "boxes", "joints-2d", "canonical"]
 DatasetPath: TypeAlias = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DATASET")]
+PredictionsPath: TypeAlias = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="PREDICTIONS")]
+Data: TypeAlias = Annotated[DatasetOptions, tyro.conf.arg(name="")]
+
+
+@dataclass(frozen=True)
+class Rules:
+    """What counts; by default what published numbers on the dataset use."""
+
+    joints: Literal["auto", "all", "visible"] = "auto"
+    """Score all labelled joints, or those that the labels call visible; auto: visible on rhd, all elsewhere."""
+    fps: float | None = None
+    """The instances of one folder are consecutive frames at so many a second: acceleration errors are scored too."""
+
+
+ScoringRules: TypeAlias = Annotated[Rules, tyro.conf.arg(name="")]
+
+
+@dataclass(frozen=True)
+class System:
+    """What is measured."""
+
+    weights: str = DEFAULT_PRESET
+    """Preset that ships with the package, or a weights folder."""
+    truth: tuple[Stage, ...] = ()
+    """Stages to replace by ground truth, for isolated results."""
+    smooth: bool = False
+    """Smooth the range over the frames of each folder, as `track` does over video."""
+    peer: Literal["mediapipe"] | None = None
+    """Measure another system instead of ours."""
+    peer_python: Path | None = None
+    """Interpreter of the environment that holds the peer (docs/evaluation.md)."""
+    handedness: Handedness = "matched"
+    """Peer: which hand is which by its own word, or matched with the labels."""
+    placement: Placement = "solver"
+    """Peer: placed by our solver with the true hand length, or by PnP at its own size."""
+
+
+MeasuredSystem: TypeAlias = Annotated[System, tyro.conf.arg(name="")]
 
 
 @dataclass(frozen=True)
 class Predict:
-    """Run the pipeline and write a predictions file."""
+    """Run a system and write a predictions file."""
 
     dataset: DatasetPath
-    """Folder in the Ego3DHands layout."""
+    """Folder of the dataset (docs/datasets.md)."""
     out: Path
     """Predictions file to write, ending in .npz."""
-    weights: str = DEFAULT_PRESET
-    """Preset that ships with the package, or a weights folder."""
+    system: MeasuredSystem = field(default_factory=System)
+    data: Data = field(default_factory=DatasetOptions)
     count: int | None = None
     """Only the first COUNT instances."""
-    truth: tuple[Stage, ...] = ()
-    """Stages to replace by ground truth, for isolated results."""
     overwrite: bool = False
     """Replace an existing predictions file."""
 
@@ -64,10 +110,12 @@ class Predict:
 class Score:
     """Score a predictions file; no network is run."""
 
-    predictions: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="PREDICTIONS")]
+    predictions: PredictionsPath
     """Predictions file."""
     dataset: DatasetPath
     """The dataset it was made from."""
+    data: Data = field(default_factory=DatasetOptions)
+    rules: ScoringRules = field(default_factory=Rules)
     report: Path | None = None
     """Write the report there: JSON for a name ending in .json, a Markdown table otherwise."""
     overwrite: bool = False
@@ -76,39 +124,122 @@ class Score:
 
 @dataclass(frozen=True)
 class Run:
-    """Run the pipeline, score it, print the table."""
+    """Run a system, score it, print the table."""
 
     dataset: DatasetPath
-    """Folder in the Ego3DHands layout."""
-    weights: str = DEFAULT_PRESET
-    """Preset that ships with the package, or a weights folder."""
+    """Folder of the dataset (docs/datasets.md)."""
+    system: MeasuredSystem = field(default_factory=System)
+    data: Data = field(default_factory=DatasetOptions)
+    rules: ScoringRules = field(default_factory=Rules)
     count: int | None = None
     """Only the first COUNT instances."""
-    truth: tuple[Stage, ...] = ()
-    """Stages to replace by ground truth, for isolated results."""
     report: Path | None = None
     """Write the report there: JSON for a name ending in .json, a Markdown table otherwise."""
     overwrite: bool = False
     """Replace an existing report."""
 
 
-def run(args: Predict | Score | Run) -> int:
+@dataclass(frozen=True)
+class Import:
+    """Turn another system's predictions (.json or .npz) into a predictions file."""
+
+    foreign: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="FILE")]
+    """Its predictions; the format is in docs/evaluation.md."""
+    dataset: DatasetPath
+    """The dataset they are about."""
+    out: Path
+    """Predictions file to write, ending in .npz."""
+    data: Data = field(default_factory=DatasetOptions)
+    count: int | None = None
+    """They are about the first COUNT instances only."""
+    hand_length_cm: float | None = None
+    """Hand length (wrist to middle knuckle) where a range must be solved; each labelled hand's own if not given."""
+    overwrite: bool = False
+    """Replace an existing predictions file."""
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Feed each stage with ground truth in turn and print what the others cost."""
+
+    dataset: DatasetPath
+    """Folder of the dataset (docs/datasets.md)."""
+    weights: str = DEFAULT_PRESET
+    """Preset that ships with the package, or a weights folder."""
+    data: Data = field(default_factory=DatasetOptions)
+    rules: ScoringRules = field(default_factory=Rules)
+    count: int | None = None
+    """Only the first COUNT instances."""
+    out: Path | None = None
+    """Write the budget there as JSON, for `eval report --budget`."""
+    overwrite: bool = False
+    """Replace an existing file."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """Set predictions side by side: report.json, report.md and one self-contained report.html."""
+
+    dataset: DatasetPath
+    """The dataset that all predictions were made from."""
+    predictions: tuple[Path, ...]
+    """Predictions files; the first is the system that pictures show."""
+    out: Path
+    """Folder of the report."""
+    names: tuple[str, ...] = ()
+    """Short names for the columns, one for each file; the files' names if not given."""
+    data: Data = field(default_factory=DatasetOptions)
+    rules: ScoringRules = field(default_factory=Rules)
+    budget: Path | None = None
+    """Error budget to include, from `eval budget --out`."""
+    markdown: Path | None = None
+    """Write the Markdown there as well: docs/results.md is made like this."""
+    cases: int = 6
+    """How many of the worst hands to show, and of the missed and invented ones."""
+    note: tuple[str, ...] = ()
+    """Remarks for the reader."""
+    overwrite: bool = False
+    """Replace an existing report."""
+
+
+def run(args: Predict | Score | Run | Import | Budget | Report) -> int:
     """Carry out `twohands eval`."""
-    dataset = Ego3DHands(args.dataset)
-    if isinstance(args, Predict):
-        check_predictions_path(args.out, overwrite=args.overwrite)
-        predictions = _predict(dataset, args.weights, args.count, args.truth)
-        save_predictions(args.out, predictions, overwrite=args.overwrite)
-        print(f"{len(predictions)} predictions written to {args.out}")
-        return 0
-    if args.report is not None and args.report.exists() and not args.overwrite:
-        raise InputError(f"{args.report}: exists already; choose another --report, or allow it with --overwrite")
-    if isinstance(args, Score):
-        predictions = load_predictions(args.predictions)
-    else:
-        predictions = _predict(dataset, args.weights, args.count, args.truth)
-    report = evaluate(predictions, _samples(dataset, len(predictions), "scoring"))
+    match args:
+        case Predict():
+            return _run_predict(args)
+        case Import():
+            return _run_import(args)
+        case Budget():
+            return _run_budget(args)
+        case Report():
+            return _run_report(args)
+        case _:
+            return _run_score(args)
+
+
+def _run_predict(args: Predict) -> int:
+    check_predictions_path(args.out, overwrite=args.overwrite)
+    dataset = open_dataset(args.dataset, args.data)
+    predictions = _predict(dataset, args.system, args.count)
+    save_predictions(args.out, predictions, overwrite=args.overwrite)
+    print(f"{len(predictions)} predictions written to {args.out}")
+    return 0
+
+
+def _run_score(args: Score | Run) -> int:
+    if args.report is not None:
+        _refuse_existing(args.report, args.overwrite, "--report")
+    predictions = load_predictions(args.predictions) if isinstance(args, Score) else None
+    dataset = open_dataset(args.dataset, args.data)
+    if isinstance(args, Run):
+        predictions = _predict(dataset, args.system, args.count)
+    assert predictions is not None
+    report = evaluate(
+        predictions, _samples(dataset.samples, len(predictions), "scoring"), _protocol(dataset, args.rules)
+    )
     _print_report(report)
+    if len(predictions) < len(dataset.samples):
+        print(f"only the first {len(predictions)} of {len(dataset.samples)} images")
     if args.report is not None:
         text = json.dumps(report.to_dict(), indent=1) if args.report.suffix == ".json" else report.to_markdown()
         write_file(args.report, text.encode())
@@ -116,75 +247,222 @@ def run(args: Predict | Score | Run) -> int:
     return 0
 
 
-def _predict(dataset: Ego3DHands, weights: str, count: int | None, stages: tuple[Stage, ...]) -> Predictions:
+def _run_import(args: Import) -> int:
+    check_predictions_path(args.out, overwrite=args.overwrite)
+    if args.hand_length_cm is not None and not args.hand_length_cm > 0:
+        raise InputError(f"--hand-length-cm must be above 0, got {args.hand_length_cm}")
+    foreign = read_foreign(args.foreign)
+    samples = open_dataset(args.dataset, args.data).samples
+    predictions = import_predictions(
+        foreign,
+        _samples(samples, _count(args.count, samples), "importing"),
+        dataset=samples.name,
+        hand_length_m=None if args.hand_length_cm is None else args.hand_length_cm / 100,
+    )
+    save_predictions(args.out, predictions, overwrite=args.overwrite)
+    print(f"{len(predictions)} predictions of '{foreign.system}' written to {args.out}")
+    return 0
+
+
+def _run_budget(args: Budget) -> int:
+    if args.out is not None:
+        _refuse_existing(args.out, args.overwrite, "--out")
+    dataset = open_dataset(args.dataset, args.data)
+    samples = dataset.samples
+    count = _count(args.count, samples)
+    estimator = HandEstimator.from_preset(args.weights)
+    targets = HeatmapTargets.from_folder(preset_folder(args.weights))
+    has_labels = all(samples[index].labels is not None for index in {0, count - 1})
+    notes = () if has_labels else ("No part labels: masks are estimated in every study.",)
+
+    def estimator_of(study: Study) -> Callable[[HandSample], TwoHandPose]:
+        return TruthfulEstimator(estimator, study.truth, targets)
+
+    budget = error_budget(
+        lambda doing: _samples(samples, count, doing),
+        estimator_of,
+        dataset=samples.name,
+        weights=_weights_id(estimator, args.weights),
+        studies=STUDIES if has_labels else studies_without_masks(),
+        protocol=_protocol(dataset, args.rules),
+        notes=notes,
+    ).to_dict()
+    _print_table(f"{samples.name}: {count} images, weights {budget['weights']}", budget_results(budget))
+    _print_table("what each stage costs, all joints", budget_costs(budget))
+    for note in notes:
+        print(note)
+    if args.out is not None:
+        write_file(args.out, json.dumps(budget, indent=1).encode())
+        print(f"budget written to {args.out}")
+    return 0
+
+
+def _run_report(args: Report) -> int:
+    from twohands.visualization.evaluation_page import render_page, typical_images, worst_hands
+
+    check_output_folder(args.out, overwrite=args.overwrite)
+    if args.markdown is not None:
+        _refuse_existing(args.markdown, args.overwrite, "--markdown")
+    files = [load_predictions(path) for path in args.predictions]
+    if not files:
+        raise InputError("--predictions needs at least one file")
+    names = args.names or tuple(path.stem for path in args.predictions)
+    if len(names) != len(files) or len(set(names)) != len(names):
+        raise InputError(f"--names must be {len(files)} different names, one for each file, got {', '.join(names)}")
+    if len({len(file) for file in files}) > 1:
+        raise InputError(
+            f"the files hold {', '.join(str(len(file)) for file in files)} images; they must hold the same"
+        )
+    dataset = open_dataset(args.dataset, args.data)
+    protocol = _protocol(dataset, args.rules)
+    compared: list[tuple[str, Predictions, Comparison]] = []
+    for name, file in zip(names, files, strict=True):
+        compared.append((name, file, compare(file, _samples(dataset.samples, len(file), f"scoring {name}"), protocol)))
+    budget = None if args.budget is None else _read_budget(args.budget, files[0])
+    notes = args.note
+    if len(files[0]) < len(dataset.samples):
+        notes = (*notes, f"Only the first {len(files[0])} of {len(dataset.samples)} images.")
+    summary = summarise(dataset.kind, compared, protocol, budget=budget, command=_command(), notes=notes)
+    first = compared[0][2]
+
+    def case(index: int, caption: str, side: int | None = None):
+        from twohands.visualization.evaluation_page import Case
+
+        sample = dataset.samples[index]
+        return Case(sample, files[0].pose(index, sample.camera), caption, side)
+
+    typical = [case(index, caption) for index, caption in typical_images(first)]
+    worst = [case(index, caption, side) for index, side, caption in worst_hands(first, args.cases)]
+    page = render_page(summary, typical, worst)
+    _write_report(args, summary, page)
+    return 0
+
+
+def _write_report(args: Report, summary: Summary, page: str) -> None:
+    markdown = summary.to_markdown()
+    write_file(args.out / "report.json", json.dumps(summary.to_dict(), indent=1, allow_nan=False).encode())
+    write_file(args.out / "report.md", markdown.encode())
+    write_file(args.out / "report.html", page.encode())
+    print(f"report.json, report.md and report.html written to {args.out}")
+    if args.markdown is not None:
+        write_file(args.markdown, markdown.encode())
+        print(f"Markdown written to {args.markdown}")
+
+
+def _predict(dataset: OpenedDataset, system: System, count: int | None) -> Predictions:
+    samples = _samples(dataset.samples, _count(count, dataset.samples), "predicting")
+    with contextlib.ExitStack() as stack:
+        if system.peer == "mediapipe":
+            if system.truth:
+                raise InputError("--truth replaces stages of our pipeline; a peer has none of them")
+            peer = stack.enter_context(
+                MediaPipeHands(system.peer_python, handedness=system.handedness, placement=system.placement)
+            )
+            estimate, name, settings = peer, peer.name, peer.settings
+        else:
+            estimator = HandEstimator.from_preset(system.weights)
+            targets = HeatmapTargets.from_folder(preset_folder(system.weights))
+            estimate = TruthfulEstimator(estimator, system.truth, targets)
+            name = _weights_id(estimator, system.weights)
+            settings = _settings(estimator, system)
+        if system.smooth:
+            estimate, settings = _Smoothed(estimate), settings | {"smoothed": True}
+        return predict(samples, estimate, dataset=dataset.samples.name, weights=name, settings=settings)
+
+
+def _settings(estimator: HandEstimator, system: System) -> dict[str, Any]:
+    return {
+        "card": asdict(estimator.card),
+        "hand_length_m": "each hand's own, from its labels",
+        "camera": "the dataset's",
+        "truth": list(system.truth),
+    }
+
+
+class _Smoothed:
+    """An estimator whose ranges are smoothed over the frames of each folder."""
+
+    def __init__(self, estimate: Callable[[HandSample], TwoHandPose]) -> None:
+        self._estimate = estimate
+        self._tracker = HandTracker()
+        self._folder: str | None = None
+        self._frame = 0
+
+    def __call__(self, sample: HandSample) -> TwoHandPose:
+        folder = sample.source.rpartition("/")[0]
+        if folder != self._folder:
+            self._tracker.reset()
+            self._folder, self._frame = folder, 0
+        pose = replace(self._estimate(sample), index=self._frame)
+        self._frame += 1
+        return self._tracker.update(pose)
+
+
+def _protocol(dataset: OpenedDataset, rules: Rules) -> Protocol:
+    visible = dataset.visible_only if rules.joints == "auto" else rules.joints == "visible"
+    return Protocol(visible_only=visible, all_hands_labelled=dataset.all_hands_labelled, fps=rules.fps)
+
+
+def _count(count: int | None, samples: HandDataset) -> int:
     if count is not None and count < 1:
         raise InputError(f"--count must be at least 1, got {count}")
-    estimator = HandEstimator.from_preset(weights)
-
-    def estimate(sample: HandSample) -> TwoHandPose:
-        return estimator.estimate(sample.image, sample.camera, dataset.hand_length_m, stage_truth(sample, stages))
-
-    return predict(
-        _samples(dataset, len(dataset) if count is None else min(count, len(dataset)), "predicting"),
-        estimate,
-        dataset=dataset.name,
-        weights=f"{estimator.card.name}@{_digest(preset_folder(weights))}",
-        settings={
-            "card": asdict(estimator.card),
-            "hand_length_m": dataset.hand_length_m,
-            "camera": "the dataset's",
-            "truth": list(stages),
-        },
-    )
+    return len(samples) if count is None else min(count, len(samples))
 
 
-def stage_truth(sample: HandSample, stages: tuple[Stage, ...]) -> StageTruth:
-    """Ground truth for the stages named, taken from a sample's labels.
-
-    Args:
-        sample: a labelled image.
-        stages: what to replace.
-
-    Returns:
-        What `HandEstimator.estimate` takes; all None for no stage.
-
-    Raises:
-        InputError: masks are asked for, but the sample has no part labels.
-    """
-    if "masks" in stages and sample.labels is None:
-        raise InputError(f"{sample.source}: has no part labels to replace the masks by")
-    return StageTruth(
-        masks=hand_masks(sample.labels) if "masks" in stages and sample.labels is not None else None,
-        boxes_px=np.asarray(box_from_points(sample.joints_px)) if "boxes" in stages else None,
-        present=sample.present if "presence" in stages else None,
-        joints_px=sample.joints_px if "joints-2d" in stages else None,
-        canonical=np.asarray(canonical_from_camera(sample.joints_m).joints) if "canonical" in stages else None,
-    )
-
-
-def _samples(dataset: Ego3DHands, count: int, doing: str) -> Iterator[HandSample]:
+def _samples(dataset: HandDataset, count: int, doing: str) -> Iterator[HandSample]:
     console = Console(stderr=True)
     indices = range(min(count, len(dataset)))
     for index in track(indices, doing, console=console, disable=not console.is_terminal, transient=True):
         yield dataset[index]
 
 
-def _digest(folder: Path) -> str:
-    """Identifies a set of weights by its networks' bytes."""
+def _read_budget(path: Path, predictions: Predictions) -> dict[str, Any]:
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    try:
+        budget = json.loads(path.read_text(encoding="utf-8"))
+        if (version := budget["version"]) != BUDGET_VERSION:
+            raise DataFormatError(f"{path}: expected a budget of version {BUDGET_VERSION}, got {version}")
+        identity = budget["dataset_id"]
+        _ = budget_results(budget), budget_costs(budget)  # every number is there
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        raise DataFormatError(f"{path}: not an error budget of twohands eval budget") from None
+    if identity != predictions.dataset_id:
+        raise InputError(
+            f"{path}: the budget is of other data ({identity}) than the predictions ({predictions.dataset_id})"
+        )
+    return budget
+
+
+def _weights_id(estimator: HandEstimator, preset: str) -> str:
+    """Name and fingerprint of a set of weights, the latter from its networks' bytes."""
     digest = hashlib.sha256()
     for name in NETWORK_NAMES:
-        digest.update((folder / f"{name}.onnx").read_bytes())
-    return digest.hexdigest()[:12]
+        digest.update((preset_folder(preset) / f"{name}.onnx").read_bytes())
+    return f"{estimator.card.name}@{digest.hexdigest()[:12]}"
+
+
+def _command() -> str:
+    """This command, without the way to its program."""
+    return shlex.join(["twohands", *sys.argv[1:]])
+
+
+def _refuse_existing(path: Path, overwrite: bool, option: str) -> None:
+    if path.exists() and not overwrite:
+        raise InputError(f"{path}: exists already; choose another {option}, or allow it with --overwrite")
 
 
 def _print_report(report: EvaluationReport) -> None:
     title = f"{report.dataset}: {report.images} images, labels {report.dataset_id}, weights {report.weights}"
+    head = ["metric", "value", "left", "right", "unit", "count"]
+    _print_table(title, [head, *(list(table_row(metric)) for metric in report.metrics)])
+
+
+def _print_table(title: str, rows: TextTable) -> None:
     table = Table(title=title, title_justify="left")
-    table.add_column("metric")
-    for name in ("value", "left", "right"):
-        table.add_column(name, justify="right")
-    table.add_column("unit")
-    table.add_column("count", justify="right")
-    for metric in report.metrics:
-        table.add_row(*table_row(metric))
+    for column, name in enumerate(rows[0]):
+        numbers = all(is_number(row[column]) for row in rows[1:])
+        table.add_column(name, justify="right" if numbers else "left")
+    for row in rows[1:]:
+        table.add_row(*row)
     Console().print(table)

@@ -116,9 +116,10 @@ def dataset_iou(intersections: ArrayLike, unions: ArrayLike) -> FloatArray:
         intersections, unions: (N, 3) pixels, from `class_overlaps`.
 
     Returns:
-        (3,) background, left, right; each 0..1.
+        (3,) background, left, right; each 0..1, NaN for a class that is in no mask of any image.
     """
-    return _ratio(np.sum(intersections, axis=0), np.sum(unions, axis=0))
+    intersection, union = _floats(intersections).sum(axis=0), _floats(unions).sum(axis=0)
+    return np.where(union > 0, intersection / np.maximum(union, 1.0), np.nan)
 
 
 # Errors per joint and what is made of them
@@ -215,8 +216,26 @@ def accuracy_at(errors: ArrayLike, threshold: float) -> float:
     return _mean(errors[~np.isnan(errors)] <= threshold)
 
 
+def failure_rate(errors: ArrayLike, threshold: float) -> float:
+    """Share of hands whose mean joint error exceeds a threshold, or that were missed.
+
+    Args:
+        errors: (M, J), see the module's docstring; a hand's mean runs over its known joints.
+        threshold: in the unit of the errors; an error equal to it is no failure.
+
+    Returns:
+        0..1; NaN without any hand of which a joint is known.
+        Source: what EgoForce (2026) reports beside CS-MPJPE, because a mean over found hands hides the others.
+    """
+    errors = _floats(errors)
+    known = ~np.isnan(errors)  # (M, J)
+    errors, known = errors[known.any(axis=1)], known[known.any(axis=1)]
+    means = np.where(known, errors, 0.0).sum(axis=1) / known.sum(axis=1)
+    return _mean(means > threshold)
+
+
 def finite_mean(errors: ArrayLike) -> float:
-    """Mean of the finite entries (missed hands left out); NaN if there is none."""
+    """Mean of the finite entries (missed hands left out), all pooled; NaN if there is none."""
     errors = _floats(errors)
     return _mean(errors[np.isfinite(errors)])
 
@@ -351,6 +370,40 @@ def spherical_errors(predicted_roots: ArrayLike, true_roots: ArrayLike, found: A
     known = _all_finite(true_roots)[:, None]
     hit = (_bools(found) & _all_finite(errors))[:, None]
     return np.where(known, np.where(hit, errors, np.inf), np.nan)
+
+
+def acceleration_errors(predicted: ArrayLike, truth: ArrayLike, fps: float) -> FloatArray:
+    """Errors of the acceleration of points over video, along the line of sight and across it.
+
+    The acceleration at frame t is (x[t-1] - 2 x[t] + x[t+1]) fps^2. Its error is split by the direction from the
+    pinhole to the true point at frame t: monocular range is far noisier than direction, and one number would hide it.
+
+    Args:
+        predicted, truth: (T, ..., 3) consecutive frames, camera frame; NaN where unknown or not found.
+        fps: frames a second.
+
+    Returns:
+        (T, ..., 2) lengths of the tangential and of the radial part of the error, unit of the input per s^2. NaN at the
+        first and last frame and wherever one of the three frames is unknown or not found: there is no acceleration.
+
+    Raises:
+        ValueError: fps is not above 0.
+        Source: acceleration error as usual in video pose estimation; the split is ours (SPEC 6: only the range is
+        smoothed).
+    """
+    if not fps > 0:
+        raise ValueError(f"frames a second must be above 0, got {fps}")
+    predicted, truth = _floats(predicted), _floats(truth)
+    errors = np.full((*truth.shape[:-1], 2), np.nan)
+    if len(truth) < 3:
+        return errors
+    difference = predicted - truth
+    error = (difference[:-2] - 2.0 * difference[1:-1] + difference[2:]) * fps**2  # (T-2, ..., 3)
+    sight = truth[1:-1] / np.linalg.norm(truth[1:-1], axis=-1, keepdims=True)
+    along = np.sum(error * sight, axis=-1)
+    across = np.linalg.norm(error - along[..., None] * sight, axis=-1)
+    errors[1:-1] = np.stack([across, np.abs(along)], axis=-1)
+    return errors
 
 
 def _floats(values: ArrayLike) -> FloatArray:

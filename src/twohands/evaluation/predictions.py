@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twohands.errors import DataFormatError, InputError
-from twohands.skeleton import N_JOINTS
-from twohands.types import HandPose, HandSample, TwoHandPose
+from twohands.skeleton import N_JOINTS, ROOT, SIDES
+from twohands.types import HandPose, HandSample, PinholeCamera, TwoHandPose
 
 VERSION: Final = 1
 
@@ -83,6 +83,34 @@ class Predictions:
         data = self.masks_png[index]
         return np.asarray(_decode_png(data)) if data else None
 
+    def pose(self, index: int, camera: PinholeCamera) -> TwoHandPose:
+        """What was said about one image, as the estimator says it."""
+        left, right = (self._hand(index, side) for side in (0, 1))
+        return TwoHandPose(left, right, camera, self.mask(index), index)
+
+    def _hand(self, index: int, side: int) -> HandPose:
+        if not self.present[index, side]:
+            return HandPose(present=False)
+
+        def known(name: str) -> NDArray[np.float64] | None:
+            values = getattr(self, name)[index, side]
+            return values if np.isfinite(values).all() else None
+
+        valid = bool(self.valid[index, side])
+        joints_m = known("joints_m") if valid else None
+        score = float(self.score[index, side])
+        return HandPose(
+            present=True,
+            score=score if np.isfinite(score) else None,
+            box_px=known("box_px"),
+            joints_px=known("joints_px"),
+            joint_scores=known("joint_scores"),
+            canonical=known("canonical"),
+            joints_m=joints_m,
+            range_m=None if joints_m is None else float(np.linalg.norm(joints_m[ROOT])),
+            valid=valid,
+        )
+
 
 class Fingerprint:
     """Identifies labelled samples by their names and labels, in order: scores are only for the data they came from."""
@@ -120,6 +148,9 @@ def predict(
 
     Returns:
         The predictions.
+
+    Raises:
+        DataFormatError: the estimator's hands are no predictions (`check_predictions`).
     """
     fingerprint = Fingerprint()
     sources: list[str] = []
@@ -131,7 +162,7 @@ def predict(
         sources.append(sample.source)
         hands.append(pose.hands)
         masks.append(b"" if pose.masks is None else _encode_png(pose.masks))
-    return Predictions(
+    predictions = Predictions(
         dataset=dataset,
         dataset_id=str(fingerprint),
         weights=weights,
@@ -140,6 +171,8 @@ def predict(
         masks_png=tuple(masks),
         **{name: _stack(hands, name) for name in _ARRAYS},
     )
+    check_predictions(predictions, weights)
+    return predictions
 
 
 def save_predictions(path: str | os.PathLike[str], predictions: Predictions, *, overwrite: bool = False) -> None:
@@ -218,12 +251,56 @@ def load_predictions(path: str | os.PathLike[str]) -> Predictions:
             raise DataFormatError(f"{path}: {name} has shape {stored[name].shape}, expected {(count, 2, *shape)}")
     data = stored["masks_png"].tobytes()
     ends = [0, *stored["masks_end"].tolist()]
-    return Predictions(
+    if len(ends) != count + 1 or ends != sorted(ends) or ends[-1] != len(data):
+        raise DataFormatError(f"{path}: the masks of the predictions file are damaged")
+    predictions = Predictions(
         **{name: header[name] for name in ("dataset", "dataset_id", "weights", "settings")},
         sources=tuple(str(source) for source in stored["sources"]),
         masks_png=tuple(data[start:end] for start, end in pairwise(ends)),
         **{name: stored[name] for name in _ARRAYS},
     )
+    check_predictions(predictions, str(path))
+    return predictions
+
+
+def check_predictions(predictions: Predictions, where: str) -> None:
+    """Looks for what no score can be made of.
+
+    Args:
+        predictions: any.
+        where: file or system, for the message.
+
+    Raises:
+        DataFormatError: no image at all, an image twice, or a hand that is present with numbers that are partly
+            missing: each of its arrays must be finite throughout, or NaN throughout for "not predicted".
+    """
+    if not len(predictions):
+        raise DataFormatError(f"{where}: holds no predictions")
+    seen: set[str] = set()
+    for source in predictions.sources:
+        if source in seen:
+            raise DataFormatError(f"{where}: image '{source}' is there twice")
+        seen.add(source)
+    for name in ("box_px", "joints_px", "canonical", "joints_m"):
+        values: NDArray[np.float64] = getattr(predictions, name)
+        within = tuple(range(2, values.ndim))
+        finite = np.isfinite(values)
+        partly = np.any(finite, axis=within) & ~np.all(finite, axis=within)  # (N, 2)
+        infinite = np.any(np.isinf(values), axis=within)
+        _refuse(predictions, predictions.present & (partly | infinite), f"{name} that are not all finite", where)
+    no_joints = ~np.isfinite(predictions.joints_m).all(axis=(2, 3))
+    _refuse(predictions, predictions.present & predictions.valid & no_joints, "no joints_m though it is valid", where)
+
+
+def _refuse(predictions: Predictions, wrong: NDArray[np.bool_], what: str, where: str) -> None:
+    """Raises for the first hand that is wrong."""
+    if wrong.any():
+        index, side = (int(i) for i in np.argwhere(wrong)[0])
+        others = f" ({int(wrong.sum()) - 1} more)" if wrong.sum() > 1 else ""
+        raise DataFormatError(
+            f"{where}: image '{predictions.sources[index]}', {SIDES[side]} hand: {what}{others}; NaN throughout means "
+            "not predicted"
+        )
 
 
 def _stack(hands: list[tuple[HandPose, HandPose]], name: str) -> NDArray[Any]:

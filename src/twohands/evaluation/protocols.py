@@ -1,242 +1,235 @@
 """Which metrics are computed from predictions and labels, and over what.
 
 Source: SPEC 7. Hands are scored against labels in metres; 2D errors are brought to the paper's image width.
+
+Names of averages: "EPE mean" and "EPE median" are Zimmermann and Brox's, the mean over joints of each joint's own mean
+or median, left and right averaged; "pooled" is over all joints of all hands at once. Everything runs over one data set:
+data sets are never pooled with each other.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import asdict
 from typing import Final
 
 import numpy as np
 
-from twohands.errors import DataFormatError, InputError
 from twohands.evaluation import metrics as m
-from twohands.evaluation.predictions import Fingerprint, Predictions
+from twohands.evaluation.comparison import DEFAULT_PROTOCOL, Comparison, Protocol, compare
+from twohands.evaluation.predictions import Predictions
 from twohands.evaluation.report import EvaluationReport, Metric
-from twohands.geometry.boxes import box_from_points, box_iou
-from twohands.geometry.canonical import cartesian_alignment, spherical_alignment
-from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
+from twohands.skeleton import LEFT, RIGHT
 from twohands.types import HandSample
 
-REFERENCE_WIDTH_PX: Final = 480
-"""2D errors are multiplied by 480 / image width (SPEC 7.2, "at 270x480")."""
+FAILURE_MM: Final = (100.0, 1000.0)
+"""CS-MPJPE above which a hand counts as failed: a hand's length, and the limit that EgoForce uses."""
 
 _FOUND_ONLY: Final = "hands present and found; mean of left and right"
+_POOLED: Final = "all joints of hands present and found, pooled"
 _MISS_FAILS: Final = "hands present, a miss is a failure; mean of left and right"
 Reduce = Callable[[m.FloatArray], float]
 
 
-def evaluate(predictions: Predictions, samples: Iterable[HandSample]) -> EvaluationReport:
+def evaluate(
+    predictions: Predictions, samples: Iterable[HandSample], protocol: Protocol = DEFAULT_PROTOCOL
+) -> EvaluationReport:
     """Scores predictions against the labels they were made for.
 
     Args:
         predictions: N images.
         samples: the same N labelled images in the same order; further ones are not read.
+        protocol: what counts.
 
     Returns:
         The report.
 
     Raises:
         InputError: the samples are not those of the predictions.
+        DataFormatError: a mask does not have its picture's size.
     """
-    truth = _Truth(predictions)
-    fingerprint = Fingerprint()
-    reader = iter(samples)
-    for index, source in enumerate(predictions.sources):
-        sample = next(reader, None)
-        if sample is None or sample.source != source:
-            found = "the end of the dataset" if sample is None else f"'{sample.source}'"
-            raise InputError(
-                f"predictions belong to other data: expected '{source}' at position {index}, found {found}"
-            )
-        fingerprint.add(sample)
-        truth.add(index, sample)
-    if str(fingerprint) != predictions.dataset_id:
-        raise InputError(
-            f"predictions belong to other data: they were made for labels {predictions.dataset_id} of "
-            f"'{predictions.dataset}', these labels are {fingerprint}"
-        )
+    return report_of(predictions, compare(predictions, samples, protocol), protocol)
+
+
+def report_of(predictions: Predictions, comparison: Comparison, protocol: Protocol) -> EvaluationReport:
+    """The table of a comparison that has been made already."""
     return EvaluationReport(
         dataset=predictions.dataset,
         dataset_id=predictions.dataset_id,
         weights=predictions.weights,
         settings=predictions.settings,
-        images=len(predictions),
-        metrics=(
-            *_detection_metrics(predictions, truth),
-            *_joints_2d_metrics(predictions, truth),
-            *_joints_3d_metrics(predictions, truth),
-            *_camera_space_metrics(predictions, truth),
-        ),
+        protocol=asdict(protocol),
+        images=len(comparison),
+        metrics=metrics_of(comparison),
     )
 
 
-class _Truth:
-    """Labels of all samples as arrays (N, 2, ...), and mask overlaps, gathered one sample at a time."""
-
-    def __init__(self, predictions: Predictions) -> None:
-        self._predictions = predictions
-        count = len(predictions)
-        self.present = np.zeros((count, 2), np.bool_)
-        self.scale_2d = np.ones(count)
-        self.joints_px = np.full((count, 2, 21, 2), np.nan)
-        self.joints_m = np.full((count, 2, 21, 3), np.nan)
-        self.overlaps: list[tuple[m.FloatArray, m.FloatArray]] = []
-
-    def add(self, index: int, sample: HandSample) -> None:
-        self.present[index] = sample.present
-        self.scale_2d[index] = REFERENCE_WIDTH_PX / sample.camera.width
-        known = sample.valid & sample.present[:, None]  # (2, 21)
-        self.joints_px[index] = np.where(known[..., None], sample.joints_px, np.nan)
-        self.joints_m[index] = np.where(known[..., None], sample.joints_m, np.nan)
-        mask = self._predictions.mask(index)
-        if sample.labels is not None and mask is not None:
-            if mask.shape != sample.labels.shape:
-                raise DataFormatError(f"{sample.source}: mask {mask.shape} and labels {sample.labels.shape} differ")
-            self.overlaps.append(m.class_overlaps(mask, m.hand_masks(sample.labels)))
+def metrics_of(comparison: Comparison) -> tuple[Metric, ...]:
+    """Every metric of a comparison, or of a part of one (`Comparison.of_hands`), in the order of the table."""
+    return (
+        *_detection_metrics(comparison),
+        *_mask_metrics(comparison),
+        *_joints_2d_metrics(comparison),
+        *_joints_3d_metrics(comparison),
+        *_camera_space_metrics(comparison),
+        *_motion_metrics(comparison),
+    )
 
 
-def _detection_metrics(predictions: Predictions, truth: _Truth) -> list[Metric]:
-    iou = np.asarray(box_iou(predictions.box_px.astype(np.float64), box_from_points(truth.joints_px)))
-    right_presence = predictions.present == truth.present  # (N, 2)
-    right_box = m.box_correct(iou, predictions.present, truth.present)
-    missed = truth.present & ~predictions.present
-    false = ~truth.present & predictions.present
-    all_hands = "all 2N hands"
-    found = [
-        _per_side("presence_accuracy", "presence accuracy", "", right_presence, np.mean, all_hands),
-        _per_side("box_accuracy", "box accuracy (IoU > 0.5)", "", right_box, np.mean, all_hands),
-        _per_side("missed", "hands missed", "hands", missed, np.sum, "sum", total=np.sum),
-        _per_side("false", "hands found that are not there", "hands", false, np.sum, "sum", total=np.sum),
+def _detection_metrics(c: Comparison) -> list[Metric]:
+    right_box = m.box_correct(c.box_iou, c.found, c.present)
+    boxed = c.judged & ~(c.present & np.isnan(c.overlap))  # a hand that is not labelled whole has no box
+    every = "all hands whose presence is known"
+    return [
+        _count("presence_accuracy", "presence accuracy", c.found == c.present, c.judged, every, share=True),
+        _count("box_accuracy", "box accuracy (IoU > 0.5)", right_box, boxed, every, share=True),
+        _count("missed", "hands missed", ~c.found, c.present, "sum over hands present"),
+        _count("false", "hands found that are not there", c.found, c.judged & ~c.present, "sum over hands absent"),
     ]
-    if truth.overlaps:
-        intersections, unions = (np.array(arrays) for arrays in zip(*truth.overlaps, strict=True))
-        value = m.mean_iou(intersections, unions)
-        found.append(Metric("miou", "mIoU (per image)", value, "", len(intersections), "mean over images, foreground"))
-        iou_background, iou_left, iou_right = (float(value) for value in m.dataset_iou(intersections, unions))
-        foreground = (iou_left + iou_right) / 2
-        rule = "pixels of all images pooled"
-        found += [
-            Metric("iou", "IoU (pooled)", foreground, "", len(intersections), rule, iou_left, iou_right),
-            Metric("iou_background", "IoU of the background (pooled)", iou_background, "", len(intersections), rule),
-        ]
-    return found
 
 
-def _joints_2d_metrics(predictions: Predictions, truth: _Truth) -> list[Metric]:
-    scale = truth.scale_2d[:, None, None, None]
-    errors = _both_sides(m.endpoint_errors, predictions.joints_px * scale, truth.joints_px * scale, predictions.present)
+def _mask_metrics(c: Comparison) -> list[Metric]:
+    if not len(c.unions):
+        return []
+    background, left, right = (float(value) for value in m.dataset_iou(c.intersections, c.unions))
+    images, pooled = len(c.unions), "pixels of all images pooled"
+    return [
+        Metric(
+            "miou", "mIoU (per image)", m.mean_iou(c.intersections, c.unions), "", images, "mean over images, hands"
+        ),
+        Metric("iou", "IoU of the hands (pooled)", _known_mean([left, right]), "", images, pooled, left, right),
+        Metric("iou_background", "IoU of the background (pooled)", background, "", images, pooled),
+    ]
+
+
+def _joints_2d_metrics(c: Comparison) -> list[Metric]:
+    errors = c.joints_px
     return [
         _error("epe_2d_mean", "2D EPE mean", "px", errors, m.epe_mean),
         _error("epe_2d_median", "2D EPE median", "px", errors, m.epe_median),
-        _error("error_2d_median", "2D error, median of all joints", "px", errors, m.finite_median),
+        _pooled("error_2d_mean", "2D error, mean, pooled", "px", errors, m.finite_mean),
+        _pooled("error_2d_median", "2D error, median, pooled", "px", errors, m.finite_median),
         _share("auc_2d", "2D PCK AUC 0-30 px", errors, lambda e: m.pck_auc(e, m.AUC_2D_PX)),
     ]
 
 
-def _joints_3d_metrics(predictions: Predictions, truth: _Truth) -> list[Metric]:
+def _joints_3d_metrics(c: Comparison) -> list[Metric]:
     """Of the canonical pose, scaled by the true hand length (SPEC 7.2)."""
-    length = np.linalg.norm(truth.joints_m[..., WRIST, :] - truth.joints_m[..., ROOT, :], axis=-1)  # (N, 2)
     found: list[Metric] = []
-    for key, name, align in (
-        ("spherical", "spherical alignment", spherical_alignment),
-        ("cartesian", "Cartesian alignment", cartesian_alignment),
+    for key, name, errors in (
+        ("spherical", "spherical alignment", c.spherical_mm),
+        ("cartesian", "Cartesian alignment", c.cartesian_mm),
     ):
-        aligned_mm = 1e3 * np.asarray(align(predictions.canonical, length, truth.joints_m))
-        errors = _both_sides(m.endpoint_errors, aligned_mm, 1e3 * truth.joints_m, predictions.present)
         found += [
             _error(f"epe_3d_{key}_mean", f"3D EPE mean, {name}", "mm", errors, m.epe_mean),
             _error(f"epe_3d_{key}_median", f"3D EPE median, {name}", "mm", errors, m.epe_median),
+            _pooled(f"error_3d_{key}_mean", f"3D error, mean, pooled, {name}", "mm", errors, m.finite_mean),
+            _pooled(f"error_3d_{key}_median", f"3D error, median, pooled, {name}", "mm", errors, m.finite_median),
             _share(f"auc_20_50_{key}", f"3D PCK AUC 20-50 mm, {name}", errors, lambda e: m.pck_auc(e, m.AUC_20_50_MM)),
             _share(f"auc_0_50_{key}", f"3D PCK AUC 0-50 mm, {name}", errors, lambda e: m.pck_auc(e, m.AUC_0_50_MM)),
             _share(f"auc_zb_{key}", f"3D PCK AUC 21-50 mm (ZB), {name}", errors, lambda e: m.pck_auc(e, m.AUC_ZB_MM)),
         ]
-    scaled_mm = 1e3 * length[..., None, None] * predictions.canonical
-    true_mm = 1e3 * truth.joints_m
-    bones = _both_sides(m.bone_length_errors, scaled_mm, true_mm, predictions.present)
-    procrustes = _both_sides(m.procrustes_errors, scaled_mm, true_mm, predictions.present)
     return [
         *found,
-        _error("bone_length", "bone length error", "mm", bones, m.finite_mean),
-        _error("pa_mpjpe", "PA-MPJPE", "mm", procrustes, m.finite_mean),
+        _error("bone_length", "bone length error", "mm", c.bones_mm, m.finite_mean),
+        _error("pa_mpjpe", "PA-MPJPE", "mm", c.procrustes_mm, m.finite_mean),
     ]
 
 
-def _camera_space_metrics(predictions: Predictions, truth: _Truth) -> list[Metric]:
-    usable = predictions.present & predictions.valid
-    roots, true_roots = predictions.joints_m[:, :, ROOT], truth.joints_m[:, :, ROOT]
-    spherical = _both_sides(m.spherical_errors, roots, true_roots, usable)  # (N, 2, 5)
-    distance_cm, relative = 1e2 * spherical[..., 3], spherical[..., 4]
-    placed = _both_sides(m.endpoint_errors, 1e3 * predictions.joints_m, 1e3 * truth.joints_m, usable)
-    relative_root = 1e3 * m.relative_root_errors(roots, true_roots, usable)  # (N,)
-    invalid = truth.present & predictions.present & ~predictions.valid
+def _camera_space_metrics(c: Comparison) -> list[Metric]:
+    distance_cm, relative = 1e2 * c.root[..., 3], 1e2 * c.root[..., 4]
     found = [
-        _per_side("invalid", "hands found without a valid range", "hands", invalid, np.sum, "sum", total=np.sum),
+        _count("invalid", "hands found without a valid range", ~c.valid, c.present & c.found, "sum over hands found"),
+        _error("range_mean", "range error, mean", "cm", distance_cm, m.finite_mean),
         _error("range_median", "range error, median", "cm", distance_cm, m.finite_median),
-        _error("range_relative_median", "range error / range, median", "", relative, m.finite_median),
+        _error("range_relative_median", "range error / range, median", "%", relative, m.finite_median),
         *(_share(f"range_{t}cm", f"range within {t} cm", distance_cm, _within(t)) for t in (3, 5, 7, 10)),
         _share("range_auc", "range AUC 0-20 cm", distance_cm, lambda e: m.pck_auc(e[:, None], m.AUC_RANGE_CM)),
     ]
     for index, (key, name) in enumerate((("theta", "theta"), ("phi", "phi"), ("direction", "direction"))):
-        angle = spherical[..., index]
+        angle = c.root[..., index]
         found += [
             _error(f"{key}_median", f"{name} error, median", "deg", angle, m.finite_median),
             *(_share(f"{key}_{t}deg", f"{name} within {t} deg", angle, _within(t)) for t in (1, 3, 5)),
             _share(f"{key}_auc", f"{name} AUC 0-10 deg", angle, lambda e: m.pck_auc(e[:, None], m.AUC_ANGLE_DEG)),
         ]
-    pairs = int(np.isfinite(relative_root).sum())
+    pairs = int(np.isfinite(c.relative_root_mm).sum())
+    mrrpe = m.finite_mean(c.relative_root_mm)
     return [
         *found,
-        _error("cs_mpjpe", "CS-MPJPE", "mm", placed, m.finite_mean),
-        Metric("mrrpe", "MRRPE", m.finite_mean(relative_root), "mm", pairs, "images with both hands present and found"),
+        _error("cs_mpjpe", "CS-MPJPE", "mm", c.camera_mm, m.finite_mean),
+        _pooled("cs_median", "camera-space error, median, pooled", "mm", c.camera_mm, m.finite_median),
+        *(
+            _share(
+                f"failure_{limit:.0f}mm", f"failure rate (missed or CS-MPJPE > {limit / 10:.0f} cm)", c.camera_mm, rate
+            )
+            for limit in FAILURE_MM
+            for rate in [_failing(limit)]
+        ),
+        Metric("mrrpe", "MRRPE", mrrpe, "mm", pairs, "images with both hands present and found"),
     ]
 
 
-def _both_sides(
-    errors: Callable[[m.FloatArray, m.FloatArray, m.BoolArray], m.FloatArray],
-    predicted: m.FloatArray,
-    truth: m.FloatArray,
-    found: m.BoolArray,
-) -> m.FloatArray:
-    """Applies a metric on (M, ...) hands to (N, 2, ...) arrays."""
-    return np.stack([errors(predicted[:, s], truth[:, s], found[:, s]) for s in (LEFT, RIGHT)], axis=1)
+def _motion_metrics(c: Comparison) -> list[Metric]:
+    if np.isnan(c.acceleration).all():
+        return []
+    return [
+        _error(
+            f"acceleration_{key}", f"acceleration error, root, {key}", "m/s2", c.acceleration[..., part], m.finite_mean
+        )
+        for part, key in enumerate(("tangential", "radial"))
+    ]
 
 
 def _within(threshold: float) -> Reduce:
     return lambda errors: m.accuracy_at(errors, threshold)
 
 
+def _failing(threshold: float) -> Reduce:
+    return lambda errors: m.failure_rate(errors, threshold)
+
+
 def _error(key: str, name: str, unit: str, errors: m.FloatArray, reduce: Reduce) -> Metric:
     """A mean or median error: missed hands are left out of the number and of the count."""
-    count = _hands(np.isfinite(errors))
-    return _metric(key, name, unit, [reduce(errors[:, s]) for s in (LEFT, RIGHT)], count, _FOUND_ONLY)
+    return _metric(key, name, unit, errors, reduce, np.isfinite(errors), _FOUND_ONLY)
 
 
 def _share(key: str, name: str, errors: m.FloatArray, reduce: Reduce) -> Metric:
-    """A share of successes: missed hands count as failures."""
-    count = _hands(~np.isnan(errors))
-    return _metric(key, name, "", [reduce(errors[:, s]) for s in (LEFT, RIGHT)], count, _MISS_FAILS)
+    """A share: missed hands count as failures."""
+    return _metric(key, name, "", errors, reduce, ~np.isnan(errors), _MISS_FAILS)
 
 
-def _per_side(
-    key: str,
-    name: str,
-    unit: str,
-    values: m.BoolArray,
-    reduce: Callable[..., float],
-    rule: str,
-    total: Callable[..., float] = np.mean,
+def _metric(
+    key: str, name: str, unit: str, errors: m.FloatArray, reduce: Reduce, counted: m.BoolArray, rule: str
 ) -> Metric:
-    """Any number over all 2N hands."""
-    sides = [float(reduce(values[:, s])) for s in (LEFT, RIGHT)]
-    return Metric(key, name, float(total(sides)), unit, values.size, rule, *sides)
+    sides = [reduce(errors[:, s]) for s in (LEFT, RIGHT)]
+    return Metric(key, name, _known_mean(sides), unit, _hands(counted), rule, *sides)
 
 
-def _metric(key: str, name: str, unit: str, sides: list[float], count: int, rule: str) -> Metric:
+def _pooled(key: str, name: str, unit: str, errors: m.FloatArray, reduce: Reduce) -> Metric:
+    """A mean or median over all joints of all hands of both sides at once."""
+    sides = [reduce(errors[:, s]) for s in (LEFT, RIGHT)]
+    return Metric(key, name, reduce(errors), unit, _hands(np.isfinite(errors)), _POOLED, *sides)
+
+
+def _count(
+    key: str, name: str, happened: m.BoolArray, counted: m.BoolArray, rule: str, *, share: bool = False
+) -> Metric:
+    """How often something happened among the hands that count; NaN, not 0, where none does."""
+    numbers = [
+        float((happened & counted)[:, s].sum() / (counted[:, s].sum() if share else 1))
+        if counted[:, s].any()
+        else np.nan
+        for s in (LEFT, RIGHT)
+    ]
+    total = int(counted.sum())
+    value = float((happened & counted).sum() / (total if share else 1)) if total else float("nan")
+    return Metric(key, name, value, "" if share else "hands", total, rule, *numbers)
+
+
+def _known_mean(sides: list[float]) -> float:
     known = [value for value in sides if not np.isnan(value)]
-    value = float(np.mean(known)) if known else float("nan")
-    return Metric(key, name, value, unit, count, rule, *sides)
+    return float(np.mean(known)) if known else float("nan")
 
 
 def _hands(counted: m.BoolArray) -> int:

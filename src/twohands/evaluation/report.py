@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
 VERSION: Final = 1
@@ -40,6 +40,7 @@ class EvaluationReport:
     Attributes:
         dataset, dataset_id, weights, settings: as in the predictions.
         images: number of images scored.
+        protocol: what counted (`comparison.Protocol`).
         metrics: in the order of the table.
     """
 
@@ -49,6 +50,7 @@ class EvaluationReport:
     settings: dict[str, Any]
     images: int
     metrics: tuple[Metric, ...]
+    protocol: dict[str, Any] = field(default_factory=dict[str, Any])
 
     def __getitem__(self, key: str) -> Metric:
         for metric in self.metrics:
@@ -80,9 +82,16 @@ def table_row(metric: Metric) -> tuple[str, str, str, str, str, str]:
 
 
 def format_number(number: float | None) -> str:
-    """Four significant digits at most three behind the point; "-" for a number that does not exist."""
-    if number is None or math.isnan(number):
+    """Four significant digits, at most three behind the point.
+
+    "n/a" for a number (NaN) for which there was nothing to measure, "-" for one (None) that has no sides.
+    """
+    if number is None:
         return "-"
+    if math.isnan(number):
+        return "n/a"
+    if math.isinf(number):
+        return "inf"
     if number == int(number) and abs(number) < 1e6:
         return str(int(number))
     return f"{number:.3f}" if abs(number) < 100 else f"{number:.1f}"

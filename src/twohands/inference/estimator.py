@@ -86,7 +86,7 @@ class HandEstimator:
         self,
         image: np.ndarray,
         camera: PinholeCamera,
-        hand_length_m: float = DEFAULT_HAND_LENGTH_M,
+        hand_length_m: float | np.ndarray = DEFAULT_HAND_LENGTH_M,
         truth: StageTruth = NO_TRUTH,
         *,
         index: int = 0,
@@ -97,7 +97,8 @@ class HandEstimator:
         Args:
             image: (H, W, 3) uint8 RGB.
             camera: intrinsics at this image size.
-            hand_length_m: |wrist - middle knuckle| of these hands, metres. All lengths scale with it.
+            hand_length_m: |wrist - middle knuckle| of these hands, metres, or (2,) one for each. All lengths scale
+                with it.
             truth: ground truth that replaces stages.
             index, time_s: position in the source, handed through.
 
@@ -116,7 +117,8 @@ class HandEstimator:
             heatmaps = self.locate(crops, truth)
             joints_px, joint_scores = self.read_out(heatmaps, crops, truth)
             canonical = self.lift(heatmaps, crops, truth)
-            pose = project_global(canonical, joints_px, camera, hand_length_m, method=METHOD)
+            lengths_m = np.broadcast_to(hand_length_m, (2,))[sides]
+            pose = project_global(canonical, joints_px, camera, lengths_m, method=METHOD)
             for i, side in enumerate(sides):
                 hands[side] = _hand_pose(boxes, side, joints_px[i], joint_scores[i], canonical[i], pose, i)
         return TwoHandPose(hands[0], hands[1], camera, masks, index, time_s)
@@ -176,7 +178,7 @@ class HandEstimator:
         return self.networks.pose_net_3d(heatmaps).astype(np.float64) * unmirror[:, None, :]
 
 
-def _check(image: np.ndarray, camera: PinholeCamera, hand_length_m: float) -> None:
+def _check(image: np.ndarray, camera: PinholeCamera, hand_length_m: float | np.ndarray) -> None:
     """Refuse what cannot be computed with; messages name what was found."""
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
         raise InputError(f"image: (H, W, 3) uint8 RGB expected, got {image.shape} {image.dtype}")
@@ -185,7 +187,8 @@ def _check(image: np.ndarray, camera: PinholeCamera, hand_length_m: float) -> No
             f"camera is for {camera.width}x{camera.height} but the image has {image.shape[1]}x{image.shape[0]} pixels; "
             "use camera.resized(width, height)"
         )
-    if not (math.isfinite(hand_length_m) and hand_length_m > 0):
+    lengths_m = np.asarray(hand_length_m, np.float64)
+    if lengths_m.shape not in ((), (2,)) or not (np.isfinite(lengths_m) & (lengths_m > 0)).all():
         raise InputError(f"hand length must be a positive number of metres, got {hand_length_m}")
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from twohands.errors import MissingExtraError
 from twohands.skeleton import N_JOINTS, ROOT, SIDES
-from twohands.types import PinholeCamera, TwoHandPose
+from twohands.types import HandPose, HandSample, PinholeCamera, TwoHandPose
 from twohands.visualization.palette import HAND_COLOURS, finger_colour
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 _TEXT = "#2f333a"
 _QUIET = "#7d838e"
 _GRID = "#e3e6ea"
+_LABELS = "#5c6270"
 _FIELD = "#f5f6f8"
 _DARKER = 0.82
 """The palette is made for photographs; on white paper the same hues are drawn darker."""
@@ -30,7 +31,9 @@ _PANEL_IN = 3.5
 _MIN_REACH_CM = 40.0
 
 
-def draw_views(image: np.ndarray, pose: TwoHandPose, *, title: str = "Camera view") -> Figure:
+def draw_views(
+    image: np.ndarray, pose: TwoHandPose, *, title: str = "Camera view", truth: HandSample | None = None
+) -> Figure:
     """Draw camera view, top view and side view of both hands.
 
     Top and side view show the same length in cm on the same length of paper.
@@ -39,6 +42,7 @@ def draw_views(image: np.ndarray, pose: TwoHandPose, *, title: str = "Camera vie
         image: (H, W, 3) uint8 RGB.
         pose: what was estimated in it.
         title: written above the camera view.
+        truth: labels of the picture, drawn beside the estimate as thin grey lines; None for none.
 
     Returns:
         A matplotlib figure, not bound to any window.
@@ -60,26 +64,28 @@ def draw_views(image: np.ndarray, pose: TwoHandPose, *, title: str = "Camera vie
     for panel in widths:
         axes.append(figure.add_axes((at / width, bottom / height, panel / width, _PANEL_IN / height)))
         at += panel + gap
-    reach = _reach_cm(pose)
-    _camera_view(axes[0], image, pose, title)
-    _plan_view(axes[1], pose, reach, across=0)
-    _plan_view(axes[2], pose, reach, across=1)
+    reach = max(_reach_cm(pose), _reach_cm(_labelled(truth)) if truth is not None else 0.0)
+    _camera_view(axes[0], image, pose, title, truth)
+    _plan_view(axes[1], pose, reach, truth, across=0)
+    _plan_view(axes[2], pose, reach, truth, across=1)
     return figure
 
 
-def render_views(image: np.ndarray, pose: TwoHandPose, *, title: str = "Camera view") -> bytes:
+def render_views(
+    image: np.ndarray, pose: TwoHandPose, *, title: str = "Camera view", truth: HandSample | None = None
+) -> bytes:
     """The figure of `draw_views` as the bytes of a PNG file.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
     """
-    figure = draw_views(image, pose, title=title)
+    figure = draw_views(image, pose, title=title, truth=truth)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png")
     return buffer.getvalue()
 
 
-def _camera_view(axes: Axes, image: np.ndarray, pose: TwoHandPose, title: str) -> None:
+def _camera_view(axes: Axes, image: np.ndarray, pose: TwoHandPose, title: str, truth: HandSample | None) -> None:
     """The picture, slightly faded, with both skeletons; below it the legend."""
     from matplotlib.lines import Line2D
 
@@ -90,6 +96,9 @@ def _camera_view(axes: Axes, image: np.ndarray, pose: TwoHandPose, title: str) -
     for spine in axes.spines.values():
         spine.set_visible(False)
     handles = []
+    if truth is not None:
+        for side in np.flatnonzero(truth.present):
+            _label_lines(axes, truth.joints_px[side], "white")
     for side, hand in enumerate(pose.hands):
         if hand.joints_px is not None:
             _skeleton(axes, hand.joints_px, side, width=1.3, rim="#18181c", darker=1.0)
@@ -109,11 +118,13 @@ def _camera_view(axes: Axes, image: np.ndarray, pose: TwoHandPose, title: str) -
     if any(hand.range_m is not None for hand in pose.hands):
         dots = Line2D([], [], color=_QUIET, lw=1.2, ls=(0, (1, 1.6)), label="camera to middle knuckle")
         handles.append(dots)
+    if truth is not None:
+        handles.append(Line2D([], [], color=_LABELS, lw=1.0, label="labels"))
     axes.legend(
         handles=handles,
         loc="upper center",
         bbox_to_anchor=(0.5, -0.03),
-        ncols=3,
+        ncols=4,
         frameon=False,
         fontsize=9,
         labelcolor=_TEXT,
@@ -122,7 +133,7 @@ def _camera_view(axes: Axes, image: np.ndarray, pose: TwoHandPose, title: str) -
     )
 
 
-def _plan_view(axes: Axes, pose: TwoHandPose, reach: float, *, across: int) -> None:
+def _plan_view(axes: Axes, pose: TwoHandPose, reach: float, truth: HandSample | None, *, across: int) -> None:
     """Seen from above (across = 0: x to the right, z up) or from the side (across = 1: z to the right, y down)."""
     from_above = across == 0
     order = (across, 2) if from_above else (2, across)
@@ -135,6 +146,9 @@ def _plan_view(axes: Axes, pose: TwoHandPose, reach: float, *, across: int) -> N
     for edge in edges[1:]:
         axes.plot(*place(np.stack([np.zeros(3), edge])).T, color=_QUIET, lw=0.8, ls=(0, (4, 3)), zorder=1)
     _camera_mark(axes, place, across, reach)
+    if truth is not None:
+        for side in np.flatnonzero(truth.present):
+            _label_lines(axes, place(100 * truth.joints_m[side]), _LABELS)
     for side, hand in enumerate(pose.hands):
         if hand.joints_m is None:
             continue
@@ -168,6 +182,22 @@ def _skeleton(axes: Axes, points: np.ndarray, side: int, *, width: float, rim: s
             )
     edge = _paper_colour(HAND_COLOURS[side], darker)
     axes.plot(*points[ROOT], "o", ms=2.4 * width, mfc="white", mec=edge, mew=0.6 * width, zorder=4)
+
+
+def _label_lines(axes: Axes, points: np.ndarray, colour: str) -> None:
+    """One labelled hand in 2D, thin; unlabelled joints break the lines."""
+    for first in range(1, N_JOINTS, 4):
+        chain = [0, *range(first, first + 4)]
+        axes.plot(*points[chain].T, color=colour, lw=0.9, solid_capstyle="round", zorder=2.5)
+
+
+def _labelled(sample: HandSample) -> TwoHandPose:
+    """A sample's labels as a pose, for the extent of the axes."""
+    left, right = (
+        HandPose(present=bool(sample.present[side]), joints_m=joints if np.isfinite(joints).all() else None)
+        for side, joints in enumerate(sample.joints_m)
+    )
+    return TwoHandPose(left, right, sample.camera)
 
 
 def _camera_mark(axes: Axes, place, across: int, reach: float) -> None:

@@ -1,0 +1,207 @@
+"""MediaPipe Hands on our pictures.
+
+It predicts 21 joints in the picture and 21 "world" joints in metres about the hand's own centre; it knows neither the
+camera nor where the hand is. Two ways to a place in the camera frame are measured:
+
+- "solver": its world joints as a canonical pose, placed by `geometry.projection` with the same intrinsics and hand
+  length that our pipeline is given;
+- "own-size": what its users do, PnP of the world joints at their own size, which needs no hand length.
+
+MediaPipe calls hands as in a mirrored (selfie) picture; ours are not mirrored, so its "Left" is the person's right.
+
+Source: MediaPipe Hands 0.10.21 (its last release with `mp.solutions.hands` before the removal in 0.10.30).
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import cv2
+import numpy as np
+
+from twohands.errors import DataFormatError, InputError
+from twohands.evaluation.completion import complete_hand, hand_lengths_m
+from twohands.geometry.camera import unproject
+from twohands.peers.base import DetectedHand, Handedness, by_labels, by_own_handedness
+from twohands.skeleton import LEFT, RIGHT
+from twohands.types import HandPose, HandSample, PinholeCamera, TwoHandPose
+
+Placement = Literal["solver", "own-size"]
+_SIDE_OF_LABEL: Final = {"Left": RIGHT, "Right": LEFT}
+_WORKER: Final = Path(__file__).with_name("mediapipe_worker.py")
+
+
+class MediaPipeHands:
+    """MediaPipe Hands in a process of its own; a context manager.
+
+    Args:
+        python: interpreter of an environment that holds mediapipe; None for this one. MediaPipe 0.10.21 wants numpy
+            before 2.0 and brings another OpenCV, so that it is best kept apart.
+        handedness: whose word counts on which hand is which.
+        placement: how its hands get their place.
+        complexity: model 0 (lite) or 1 (full).
+        confidence: least detection confidence.
+
+    Raises:
+        InputError: no such interpreter, or it has no mediapipe.
+    """
+
+    def __init__(
+        self,
+        python: str | Path | None = None,
+        *,
+        handedness: Handedness = "matched",
+        placement: Placement = "solver",
+        complexity: int = 1,
+        confidence: float = 0.5,
+    ) -> None:
+        self._handedness: Handedness = handedness
+        self._placement: Placement = placement
+        self._model = {"complexity": complexity, "confidence": confidence}
+        interpreter = str(python or sys.executable)
+        environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+        try:
+            self._process = subprocess.Popen(
+                [interpreter, str(_WORKER), str(complexity), str(confidence)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                env=environment,
+            )
+        except OSError as error:
+            raise InputError(f"{interpreter}: cannot be run ({error.strerror})") from None
+        try:
+            self._version = str(self._answer()["version"])
+        except (DataFormatError, KeyError, TypeError):
+            self.close()
+            raise InputError(
+                f"{interpreter} has no MediaPipe Hands; make an environment for it (python3.11 -m venv DIR && "
+                "DIR/bin/pip install mediapipe==0.10.21) and name its interpreter with --peer-python DIR/bin/python"
+            ) from None
+
+    def __enter__(self) -> MediaPipeHands:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Ends the process."""
+        if self._process.stdin is not None:
+            self._process.stdin.close()
+        try:
+            self._process.wait(timeout=10)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        if self._process.stdout is not None:
+            self._process.stdout.close()
+
+    @property
+    def name(self) -> str:
+        """Name, version, and how it was placed."""
+        place = "our solver" if self._placement == "solver" else "own size"
+        return f"MediaPipe Hands {self._version} ({place}, {self._handedness} handedness)"
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Everything needed to repeat the run."""
+        return {
+            **self._model,
+            "handedness": self._handedness,
+            "labels_used": ["hand length"] * (self._placement == "solver")
+            + ["2D joints, to tell left from right"] * (self._handedness == "matched"),
+            "placement": self._placement,
+            "camera": "the dataset's",
+        }
+
+    def detect(self, image: np.ndarray) -> list[DetectedHand]:
+        """Hands in one picture, in MediaPipe's order.
+
+        Args:
+            image: (H, W, 3) uint8 RGB, not mirrored.
+
+        Raises:
+            DataFormatError: the process has died.
+        """
+        height, width = image.shape[:2]
+        assert self._process.stdin is not None
+        try:
+            self._process.stdin.write(json.dumps({"height": height, "width": width}).encode() + b"\n")
+            self._process.stdin.write(np.ascontiguousarray(image).tobytes())
+            self._process.stdin.flush()
+        except OSError:
+            raise DataFormatError("MediaPipe's process has ended") from None
+        return [
+            DetectedHand(
+                side=_SIDE_OF_LABEL[hand["label"]],
+                score=float(hand["score"]),
+                joints_px=np.array(hand["joints"], np.float64) * [width, height],
+                shape_m=np.array(hand["world_m"], np.float64),
+            )
+            for hand in self._answer()
+        ]
+
+    def __call__(self, sample: HandSample) -> TwoHandPose:
+        """Both hands of one sample."""
+        found = self.detect(sample.image)
+        if self._handedness == "matched":
+            sides = by_labels(found, sample.joints_px, sample.present)
+        else:
+            sides = by_own_handedness(found)
+        lengths = hand_lengths_m(sample)
+        left, right = (self._place(hand, sample.camera, float(lengths[side])) for side, hand in enumerate(sides))
+        return TwoHandPose(left, right, sample.camera)
+
+    def _place(self, hand: DetectedHand | None, camera: PinholeCamera, hand_length_m: float) -> HandPose:
+        if hand is None:
+            return HandPose(present=False)
+        if self._placement == "solver":
+            return complete_hand(
+                camera, hand_length_m, joints_px=hand.joints_px, canonical=hand.shape_m, score=hand.score
+            )
+        joints_m = placed_by_pnp(hand.shape_m, hand.joints_px, camera)
+        if joints_m is None:
+            pose = complete_hand(
+                camera, hand_length_m, joints_px=hand.joints_px, canonical=hand.shape_m, score=hand.score
+            )
+            return HandPose(True, hand.score, pose.box_px, pose.joints_px, canonical=pose.canonical, valid=False)
+        return complete_hand(camera, hand_length_m, joints_m=joints_m, joints_px=hand.joints_px, score=hand.score)
+
+    def _answer(self) -> Any:
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        if not line:
+            raise DataFormatError("MediaPipe's process has ended")
+        try:
+            return json.loads(line)
+        except ValueError:
+            raise DataFormatError("MediaPipe's process gave an answer that is not JSON") from None
+
+
+def placed_by_pnp(shape_m: np.ndarray, joints_px: np.ndarray, camera: PinholeCamera) -> np.ndarray | None:
+    """A rigid shape placed so that it is seen where its joints are seen.
+
+    Args:
+        shape_m: (21, 3) metres, any origin and orientation.
+        joints_px: (21, 2) pixels.
+        camera: intrinsics; lens distortion is undone.
+
+    Returns:
+        (21, 3) camera frame, metres; None where there is no solution in front of the camera.
+    """
+    rays = np.asarray(unproject(joints_px, camera))
+    seen = rays[:, :2] / rays[:, 2:]
+    if not (np.isfinite(seen).all() and np.isfinite(shape_m).all()):
+        return None
+    ok, turn, shift = cv2.solvePnP(shape_m, seen, np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP)
+    if not ok:
+        return None
+    turn, shift = cv2.solvePnPRefineLM(shape_m, seen, np.eye(3), None, turn, shift)
+    joints_m = shape_m @ np.asarray(cv2.Rodrigues(turn)[0], np.float64).T + np.asarray(shift, np.float64).ravel()
+    return joints_m if np.isfinite(joints_m).all() and (joints_m[:, 2] > 0).all() else None

@@ -1,0 +1,156 @@
+"""What counts: visibility, hands without labels, hands that are never there, parts of a data set, video."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.evaluation.test_protocols import SAMPLES, make_sample, perfect_pose, predictions_for
+
+from twohands.errors import InputError
+from twohands.evaluation.breakdown import breakdowns
+from twohands.evaluation.comparison import Protocol, compare, covered_share, sequences
+from twohands.evaluation.protocols import evaluate, metrics_of
+from twohands.skeleton import LEFT
+from twohands.types import HandPose, HandSample, TwoHandPose
+
+NAN = np.nan
+
+
+def one_joint_off(sample: HandSample) -> TwoHandPose:
+    """The left index finger's tip is 8 px (at 960 px width) and 21 mm off."""
+    pose = perfect_pose(sample)
+    joints_px, joints_m = np.array(pose.left.joints_px), np.array(pose.left.joints_m)
+    joints_px[8, 0] += 8
+    joints_m[8, 0] += 0.021
+    return replace(pose, left=replace(pose.left, joints_px=joints_px, joints_m=joints_m))
+
+
+def test_visible_only() -> None:
+    hidden = np.ones((2, 21), bool)
+    hidden[LEFT, 8] = False
+    sample = replace(SAMPLES[0], visible=hidden)
+    predictions = predictions_for(one_joint_off, [sample])
+    every, visible = (evaluate(predictions, [sample], Protocol(visible_only=v)) for v in (False, True))
+    assert every["error_2d_mean"].left == pytest.approx(4 / 21)
+    assert every["cs_mpjpe"].left == pytest.approx(21 / 21)
+    assert visible["error_2d_mean"].left == 0 and visible["cs_mpjpe"].left == 0
+    assert visible["range_median"].count == 2  # the root counts whether it is seen or not
+    assert visible.protocol["visible_only"] is True
+
+
+def test_a_hidden_root_still_has_a_range() -> None:
+    sample = replace(SAMPLES[0], visible=np.zeros((2, 21), bool))
+    report = evaluate(predictions_for(samples=[sample]), [sample], Protocol(visible_only=True))
+    assert report["range_median"].count == 2 and report["range_median"].value == pytest.approx(0, abs=1e-9)
+    assert report["epe_2d_mean"].count == 0 and np.isnan(report["epe_2d_mean"].value)
+
+
+def test_hands_without_label_may_be_found() -> None:
+    """Sample 1 has a left hand only; the system finds a right one as well."""
+
+    def estimate(sample: HandSample) -> TwoHandPose:
+        return replace(perfect_pose(sample), right=perfect_pose(SAMPLES[0]).right)
+
+    predictions = predictions_for(estimate, [SAMPLES[1]])
+    strict, lenient = (evaluate(predictions, [SAMPLES[1]], Protocol(all_hands_labelled=a)) for a in (True, False))
+    assert (strict["false"].value, strict["presence_accuracy"].value) == (1, 1 / 2)
+    assert np.isnan(lenient["false"].value) and lenient["false"].count == 0
+    assert (lenient["presence_accuracy"].value, lenient["presence_accuracy"].count) == (1, 1)
+    assert lenient["box_accuracy"].value == 1
+
+
+def test_a_hand_that_is_never_there_is_not_applicable() -> None:
+    """No zero and no one for a side of which there is nothing to measure."""
+    samples = [make_sample(index, (True, False)) for index in range(3)]
+    report = evaluate(predictions_for(samples=samples), samples)
+    for metric in report.metrics:
+        if metric.key in ("presence_accuracy", "box_accuracy", "false"):
+            assert metric.right is not None and not np.isnan(metric.right), metric.key  # it could have been invented
+        elif metric.right is not None:
+            assert np.isnan(metric.right), metric.key
+    assert report["missed"].left == 0 and report["epe_2d_mean"].value == pytest.approx(0, abs=1e-9)
+    assert np.isnan(report["mrrpe"].value) and report["mrrpe"].count == 0
+    assert "| hands missed | 0 | 0 | n/a | hands | 3 |" in report.to_markdown()
+
+
+def test_no_hand_at_all() -> None:
+    samples = [make_sample(index, (False, False)) for index in range(2)]
+    report = evaluate(predictions_for(samples=samples), samples)
+    assert report["presence_accuracy"].value == 1 and report["false"].value == 0
+    measured = {metric.key for metric in report.metrics if not np.isnan(metric.value)}
+    assert measured == {"presence_accuracy", "box_accuracy", "false", "miou", "iou_background"}
+
+
+def test_covered_share() -> None:
+    """Left 2 x 2 at the origin, right 4 x 2 from (1, 0): they share 1 x 2, half of the left, a quarter of the right."""
+    boxes = np.array([[[0, 0, 2, 2], [1, 0, 5, 2]], [[0, 0, 1, 1], [5, 5, 6, 6]], [[0, 0, 1, 1], [NAN] * 4]])
+    np.testing.assert_array_equal(covered_share(boxes), [[1 / 2, 1 / 4], [0, 0], [0, NAN]])
+
+
+def test_parts_add_up() -> None:
+    """Hands at 0.4 m and 0.5 m: every hand is in one part, and a part's number is its hands'."""
+
+    def estimate(sample: HandSample) -> TwoHandPose:
+        pose = perfect_pose(sample)
+        return pose if pose.left.joints_px is None else replace(pose, left=HandPose(present=False))
+
+    comparison = compare(predictions_for(estimate), SAMPLES)
+    by_distance, by_overlap, by_side = breakdowns(comparison)
+    for table in (by_distance, by_overlap, by_side):
+        assert sum(part.hands for part in table.parts) == 5
+        assert np.nansum([part.values["missed"] for part in table.parts]) == 3
+    assert [part.name for part in by_side.parts] == ["left", "right"]
+    assert [(part.name, part.hands) for part in by_distance.parts] == [("40-50 cm", 3), ("50-60 cm", 2)]
+    assert by_distance.parts[0].values["missed"] == 3 and np.isnan(by_distance.parts[0].values["cs_mpjpe"])
+    assert by_distance.parts[1].values["cs_mpjpe"] == pytest.approx(0, abs=1e-9)
+    assert {part.name for part in by_overlap.parts} >= {"alone in the picture"}
+
+
+def test_all_hands_kept_changes_no_hand_metric() -> None:
+    comparison = compare(predictions_for(one_joint_off, SAMPLES[:1]), SAMPLES)
+    everything = {metric.key: metric.value for metric in metrics_of(comparison)}
+    kept = {metric.key: metric.value for metric in metrics_of(comparison.of_hands(np.ones((1, 2), bool)))}
+    assert kept["cs_mpjpe"] == everything["cs_mpjpe"] > 0
+    assert "miou" not in kept and np.isnan(kept["mrrpe"])
+    none = {metric.key: metric for metric in metrics_of(comparison.of_hands(np.zeros((1, 2), bool)))}
+    assert all(np.isnan(metric.value) for metric in none.values())
+
+
+def test_video() -> None:
+    """Two folders of three frames; the left hand jumps 1 cm away from the camera in one middle frame.
+
+    Radial error 2 x 0.01 m x 100 = 2 m/s2 there and 0 in the other folder's: mean 1.
+    """
+    samples = [replace(SAMPLES[0], source=f"{folder}/{frame}") for folder in "ab" for frame in range(3)]
+
+    def estimate(sample: HandSample) -> TwoHandPose:
+        pose = perfect_pose(sample)
+        if sample.source != "a/1":
+            return pose
+        joints = np.array(pose.left.joints_m)
+        return replace(pose, left=replace(pose.left, joints_m=joints * (1 + 0.01 / np.linalg.norm(joints[9]))))
+
+    report = evaluate(predictions_for(estimate, samples), samples, Protocol(fps=10))
+    assert report["acceleration_radial"].left == pytest.approx(1)
+    assert report["acceleration_tangential"].left == pytest.approx(0, abs=1e-9)
+    assert report["acceleration_radial"].count == 4
+    with pytest.raises(KeyError):
+        evaluate(predictions_for(estimate, samples), samples)["acceleration_radial"]
+
+
+def test_sequences_are_folders() -> None:
+    assert sequences(("s1/0", "s2/0", "s1/1", "x")) == [[0, 2], [1], [3]]
+    with pytest.raises(InputError, match="above 0"):
+        Protocol(fps=-1)
+
+
+def test_sides_are_not_mixed() -> None:
+    """Swapping the system's hands ruins the scores: nothing is matched behind the user's back."""
+
+    def estimate(sample: HandSample) -> TwoHandPose:
+        pose = perfect_pose(sample)
+        return replace(pose, left=pose.right, right=pose.left)
+
+    report = evaluate(predictions_for(estimate, SAMPLES[:1]), SAMPLES)
+    assert report["cs_mpjpe"].value > 100 and report["box_accuracy"].value == 0
+    assert report["presence_accuracy"].value == 1

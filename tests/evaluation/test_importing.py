@@ -1,0 +1,205 @@
+"""Other systems' predictions: what is given is kept, what follows is filled in, what is wrong is named."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.evaluation.test_protocols import SAMPLES, perfect_pose, predictions_for
+
+from twohands.errors import DataFormatError, InputError
+from twohands.evaluation.completion import complete_hand, hand_lengths_m, unit_pose
+from twohands.evaluation.importing import import_predictions, read_foreign
+from twohands.evaluation.predictions import check_predictions, load_predictions, save_predictions
+from twohands.evaluation.protocols import evaluate
+from twohands.geometry.canonical import canonical_from_camera
+from twohands.skeleton import LEFT, ROOT, SIDES, WRIST
+
+
+def truth_as_json(*fields: str) -> dict[str, Any]:
+    images = []
+    for sample in SAMPLES:
+        image: dict[str, Any] = {"source": sample.source}
+        for side, name in enumerate(SIDES):
+            values = {
+                "joints_m": sample.joints_m[side],
+                "joints_px": sample.joints_px[side],
+                "canonical": 0.07 * np.asarray(canonical_from_camera(sample.joints_m[side]).joints) + 3,
+            }
+            said = {key: values[key].tolist() for key in fields}
+            image[name] = said if sample.present[side] else None
+        images.append(image)
+    return {"version": 1, "system": "theirs", "images": images}
+
+
+def write(path: Path, content: Any) -> Path:
+    path.write_text(json.dumps(content))
+    return path
+
+
+def imported(path: Path):
+    return import_predictions(read_foreign(path), SAMPLES, dataset="made")
+
+
+@pytest.mark.parametrize("fields", [("joints_m",), ("joints_px", "canonical"), ("joints_m", "joints_px", "canonical")])
+def test_the_truth_scores_perfectly(tmp_path: Path, fields: tuple[str, ...]) -> None:
+    """From metres alone, or from pixels and a pose in any unit about any origin; the order of images is free."""
+    content = truth_as_json(*fields)
+    content["images"].reverse()
+    predictions = imported(write(tmp_path / "p.json", content))
+    save_predictions(tmp_path / "p.npz", predictions)
+    report = evaluate(load_predictions(tmp_path / "p.npz"), SAMPLES)
+    for key in ("cs_mpjpe", "error_2d_mean", "error_3d_spherical_mean", "missed", "false", "mrrpe"):
+        assert report[key].value == pytest.approx(0, abs=1e-6), key
+    assert report["box_accuracy"].value == 1 and report.weights == "theirs"
+
+
+def test_npz(tmp_path: Path) -> None:
+    present = np.array([sample.present for sample in SAMPLES])
+    arrays = {
+        "version": 1,
+        "system": "theirs",
+        "sources": [sample.source for sample in SAMPLES],
+        "present": present,
+        "joints_m": np.array([sample.joints_m for sample in SAMPLES]),
+        "joints_px": np.full((4, 2, 21, 2), np.nan),  # not predicted
+        "score": np.full((4, 2), 0.5),
+    }
+    np.savez(tmp_path / "p.npz", **arrays)
+    predictions = imported(tmp_path / "p.npz")
+    assert evaluate(predictions, SAMPLES)["cs_mpjpe"].value == pytest.approx(0, abs=1e-9)
+    np.testing.assert_array_equal(predictions.score[present], 0.5)
+    np.savez(tmp_path / "p.npz", **arrays | {"joints_m": arrays["joints_m"][:3]})
+    with pytest.raises(DataFormatError, match="joints_m must start with the shape"):
+        imported(tmp_path / "p.npz")
+    np.savez(tmp_path / "p.npz", **arrays | {"version": 7})
+    with pytest.raises(DataFormatError, match="version 1, got 7"):
+        imported(tmp_path / "p.npz")
+    np.savez(tmp_path / "p.npz", version=1, sources=arrays["sources"])
+    with pytest.raises(DataFormatError, match="lacks the array 'present'"):
+        imported(tmp_path / "p.npz")
+    save_predictions(tmp_path / "ours.npz", predictions_for())
+    with pytest.raises(InputError, match="is a predictions file of twohands already"):
+        read_foreign(tmp_path / "ours.npz")
+
+
+def test_only_joints_in_the_picture(tmp_path: Path) -> None:
+    """Scored in 2D; nothing else is made up."""
+    report = evaluate(imported(write(tmp_path / "p.json", truth_as_json("joints_px"))), SAMPLES)
+    assert report["error_2d_mean"].value == pytest.approx(0, abs=1e-9)
+    assert report["error_3d_spherical_mean"].count == 0 and report["cs_mpjpe"].count == 0
+    assert report["invalid"].value == 5 and report["range_7cm"].value == 0
+
+
+def broken(change) -> dict[str, Any]:
+    content = truth_as_json("joints_m")
+    change(content)
+    return content
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda c: c.update(version=2), "version 1, got 2"),
+        (lambda c: c.pop("version"), "version 1, got None"),
+        (lambda c: c.update(images=[]), "holds no predictions"),
+        (lambda c: c.pop("images"), "expected an object"),
+        (lambda c: c["images"].pop(1), "image '00001' is missing"),
+        (lambda c: c["images"].append(c["images"][0]), "image '00000' is there twice"),
+        (lambda c: c["images"].append({"source": "zz", "left": None, "right": None}), "'zz': not in the dataset"),
+        (lambda c: c["images"][0].pop("source"), "entry 0 of images has no 'source'"),
+        (lambda c: c["images"][2].pop("right"), "image '00002' says nothing about the right hand"),
+        (lambda c: c["images"][0]["left"].update(joint=1), "unknown 'joint'"),
+        (lambda c: c["images"][0]["left"].update(joints_m=[[0, 0, 1]] * 20), r"'00000', left hand: joints_m: shape"),
+        (
+            lambda c: c["images"][0]["left"]["joints_m"][3].__setitem__(0, float("nan")),
+            "1 of 63 numbers are not finite",
+        ),
+        (lambda c: c["images"][0]["left"].update(joints_m="far"), "left hand: joints_m: numbers of shape"),
+        (lambda c: c["images"][0].update(left={}), "needs at least one of"),
+        (lambda c: c["images"][0].update(left=3), "an object or null expected"),
+    ],
+)
+def test_what_is_wrong_is_named(tmp_path: Path, change, message: str) -> None:
+    path = write(tmp_path / "p.json", broken(change))
+    with pytest.raises(DataFormatError, match=message) as caught:
+        imported(path)
+    assert "p.json" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_files_that_are_none(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        read_foreign(tmp_path / "p.json")
+    for name, content in (("p.json", "{"), ("p.npz", "PK")):
+        (tmp_path / name).write_text(content)
+        with pytest.raises(DataFormatError, match="not a"):
+            read_foreign(tmp_path / name)
+    (tmp_path / "p.csv").write_text("")
+    with pytest.raises(InputError, match=r"must be .json or .npz"):
+        read_foreign(tmp_path / "p.csv")
+
+
+class TestChecks:
+    """What a predictions file must not hold, whoever wrote it."""
+
+    def test_empty(self) -> None:
+        with pytest.raises(DataFormatError, match="holds no predictions"):
+            predictions_for(samples=[])
+
+    def test_an_image_twice(self) -> None:
+        with pytest.raises(DataFormatError, match="image '00000' is there twice"):
+            predictions_for(samples=[SAMPLES[0], SAMPLES[0]])
+
+    @pytest.mark.parametrize("value", [np.nan, np.inf])
+    def test_half_a_hand(self, tmp_path: Path, value: float) -> None:
+        predictions = predictions_for()
+        joints_px = predictions.joints_px.copy()
+        joints_px[2, LEFT, 4] = value
+        save_predictions(tmp_path / "p.npz", replace(predictions, joints_px=joints_px))
+        with pytest.raises(DataFormatError, match="'00002', left hand: joints_px that are not all finite"):
+            load_predictions(tmp_path / "p.npz")
+
+    def test_valid_without_joints(self) -> None:
+        predictions = predictions_for()
+        with pytest.raises(DataFormatError, match=r"'00000', left hand: no joints_m though it is valid \(4 more\)"):
+            check_predictions(replace(predictions, joints_m=np.full_like(predictions.joints_m, np.nan)), "p")
+
+    def test_numbers_of_an_absent_hand_do_not_matter(self) -> None:
+        predictions = predictions_for()
+        joints_px = predictions.joints_px.copy()
+        joints_px[3, LEFT, 4] = 1.0
+        check_predictions(replace(predictions, joints_px=joints_px), "p")
+
+
+def test_completion_uses_the_hand_length_it_is_given() -> None:
+    """Twice the length, twice the distance; the length of the pose itself is nobody's business."""
+    sample = SAMPLES[0]
+    pose = np.asarray(canonical_from_camera(sample.joints_m[LEFT]).joints)
+    for factor in (1.0, 2.0):
+        hand = complete_hand(sample.camera, factor * 0.10, joints_px=sample.joints_px[LEFT], canonical=5 * pose)
+        assert hand.joints_m is not None
+        np.testing.assert_allclose(hand.joints_m, factor * sample.joints_m[LEFT], atol=1e-9)
+    with pytest.raises(DataFormatError, match="no scale"):
+        unit_pose(np.zeros((21, 3)))
+
+
+def test_behind_the_camera_is_not_in_the_picture() -> None:
+    hand = complete_hand(SAMPLES[0].camera, 0.1, joints_m=-SAMPLES[0].joints_m[LEFT])
+    assert hand.joints_px is None and hand.box_px is None and hand.valid
+
+
+def test_hand_lengths() -> None:
+    """10 and 8 cm; a hand without labels takes the other's, a picture without hands the fallback."""
+    np.testing.assert_allclose(hand_lengths_m(SAMPLES[0]), [0.10, 0.08])
+    np.testing.assert_allclose(hand_lengths_m(SAMPLES[1]), [0.10, 0.10])
+    np.testing.assert_allclose(hand_lengths_m(SAMPLES[3], fallback=0.09), [0.09, 0.09])
+    assert np.linalg.norm(SAMPLES[0].joints_m[LEFT, WRIST] - SAMPLES[0].joints_m[LEFT, ROOT]) == pytest.approx(0.1)
+
+
+def test_a_pose_can_be_had_back() -> None:
+    pose = predictions_for().pose(0, SAMPLES[0].camera)
+    np.testing.assert_array_equal(pose.left.joints_m, perfect_pose(SAMPLES[0]).left.joints_m)
+    assert pose.left.range_m == pytest.approx(np.linalg.norm(SAMPLES[0].joints_m[LEFT, ROOT]))
+    assert pose.masks is not None and not predictions_for().pose(3, SAMPLES[3].camera).left.present
