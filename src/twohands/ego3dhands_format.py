@@ -31,6 +31,8 @@ JOINTS_3D_FILE: Final = "location_3d_global.npy"
 """(2, 22, 3) float64, (row, col, depth) in centimetres, camera frame."""
 CANONICAL_FILE: Final = "location_3d_canonical.npy"
 """(2, 22, 3) float64, (row, col, depth), root joint 0, |wrist - root| = 1, centred frame."""
+CAMERA_FILE: Final = "camera.json"
+"""Ours: {"fx", "fy", "cx", "cy"} in pixels, where the camera is not the official one (`PinholeCamera.ego3dhands`)."""
 
 N_JOINTS_WITH_ELBOW: Final = N_JOINTS + 1
 """Every array holds (elbow, 21 hand joints) per hand."""

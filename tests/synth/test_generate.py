@@ -10,13 +10,16 @@ import cv2
 import numpy as np
 import pytest
 
-from twohands.errors import InputError, TwoHandsError
+from twohands.datasets.ego3dhands import Ego3DHands, read_instance
+from twohands.datasets.inspect import inspect_dataset
+from twohands.errors import DataFormatError, InputError, TwoHandsError
 from twohands.geometry.canonical import canonical_from_camera
 from twohands.skeleton import ROOT
 from twohands.synth.cache import FrameCache, build_cache
-from twohands.synth.config import SynthConfig
+from twohands.synth.config import WILD, SynthConfig
 from twohands.synth.executors import LocalProcesses
 from twohands.synth.generate import StaticSet, generate_static
+from twohands.synth.scene import sample_scene
 from twohands.synth.seeds import stream_seed
 from twohands.synth.stream import SyntheticStream
 from twohands.synth.writer import joints_px_with_elbow
@@ -192,3 +195,17 @@ def test_a_dead_worker_is_an_error_not_a_hang():
     """Named case: a killed worker once left the run waiting for ever."""
     with pytest.raises(TwoHandsError, match="worker process died"):
         list(LocalProcesses(2).run(_open_death, [1, 2, 3]))
+
+
+def test_wild_pictures_carry_their_camera_and_reprojection_holds(tmp_path):
+    wild = dataclasses.replace(WILD, width=160, height=90)
+    generate_static(StaticSet(wild, 4, 6), tmp_path / "wild")
+    dataset = Ego3DHands(tmp_path / "wild")
+    assert inspect_dataset(dataset).problems == ()
+    cameras = [read_instance(tmp_path / "wild" / f"{i:05d}").camera for i in range(6)]
+    assert len({camera.fx for camera in cameras}) == 6
+    scene = sample_scene(wild, stream_seed(4, "static"), 2)
+    assert cameras[2] == scene.camera
+    (tmp_path / "wild" / "00002" / "camera.json").write_text('{"fx": 0}')
+    with pytest.raises(DataFormatError, match=r"00002.*camera\.json"):
+        read_instance(tmp_path / "wild" / "00002")

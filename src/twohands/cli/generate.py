@@ -18,7 +18,7 @@ import tyro
 
 from twohands.cli.progress import progress_of
 from twohands.errors import InputError, MissingExtraError
-from twohands.synth.config import SynthConfig
+from twohands.synth.config import PAPER, PRESETS, SynthConfig
 from twohands.synth.motion import MotionConfig
 
 if TYPE_CHECKING:
@@ -63,8 +63,11 @@ class GenerateArgs:
     """Who renders: processes of this machine, or a Ray cluster (extra 'cluster')."""
     ray_address: str | None = None
     """Of a running Ray cluster, "auto" for the one of this machine; without it, one is started here."""
+    preset: Literal["paper", "wild"] = "paper"
+    """paper: one character and one camera, as in the paper; wild: all kinds of adults, cameras and clothes, hands that
+    meet. Settings given as --config.NAME change it."""
     config: SynthConfig = field(default_factory=SynthConfig)
-    """Distributions of the scenes."""
+    """Distributions of the scenes; the defaults shown are those of the preset paper."""
     motion: MotionConfig = field(default_factory=MotionConfig)
     """Distributions of the motion (dynamic)."""
 
@@ -73,7 +76,18 @@ def run(args: GenerateArgs) -> int:
     """Generate, with progress, rate and time left."""
     if args.workers < 0:
         raise InputError(f"--workers must be 0 (all cores) or more, got {args.workers}")
+    args = dataclasses.replace(args, config=configured(args))
     return {"static": _static, "dynamic": _dynamic, "frames": _frames}[args.kind](args)
+
+
+def configured(args: GenerateArgs) -> SynthConfig:
+    """The preset with the settings that the user gave."""
+    given = {
+        entry.name: getattr(args.config, entry.name)
+        for entry in dataclasses.fields(SynthConfig)
+        if getattr(args.config, entry.name) != getattr(PAPER, entry.name)
+    }
+    return dataclasses.replace(PRESETS[args.preset], **given)
 
 
 def executor_of(args: GenerateArgs) -> Executor:

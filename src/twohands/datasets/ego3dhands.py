@@ -7,6 +7,7 @@ contains `location_2d.npy` counts as an instance, wherever it lies below the roo
 from __future__ import annotations
 
 import io
+import json
 import os
 import re
 from collections.abc import Iterator, Mapping
@@ -33,7 +34,7 @@ class Ego3DHandsInstance:
     Attributes:
         path: the instance's folder, or its name within a tar shard.
         image: (H, W, 3) uint8 RGB; `color_new.png`, or `color.png` on black where there is none.
-        camera: the dataset's camera at this image size (the layout stores no intrinsics).
+        camera: the official camera at this image size, or the one of `camera.json` (ours) where there is one.
         present: (2,) bool, (LEFT, RIGHT).
         joints_px: (2, 22, 2) float64 pixels, (elbow, 21 joints); NaN for an absent hand.
         joints_m: (2, 22, 3) float64, camera frame, metres; NaN for an absent hand or a missing file.
@@ -226,7 +227,7 @@ def decode_instance(files: Mapping[str, bytes], where: Path) -> Ego3DHandsInstan
         return Ego3DHandsInstance(
             path=where,
             image=image,
-            camera=PinholeCamera.ego3dhands(width, height),
+            camera=_camera(files, width, height),
             present=np.asarray(np.isfinite(joints_px).all(axis=(1, 2))),
             joints_px=joints_px,
             joints_m=fmt.decode_joints_m(location_3d),
@@ -237,6 +238,17 @@ def decode_instance(files: Mapping[str, bytes], where: Path) -> Ego3DHandsInstan
         )
     except DataFormatError as error:
         raise DataFormatError(f"{where}: {error}") from None
+
+
+def _camera(files: Mapping[str, bytes], width: int, height: int) -> PinholeCamera:
+    if fmt.CAMERA_FILE not in files:
+        return PinholeCamera.ego3dhands(width, height)
+    try:
+        values = json.loads(files[fmt.CAMERA_FILE])
+        fx, fy, cx, cy = (float(values[name]) for name in ("fx", "fy", "cx", "cy"))
+        return PinholeCamera(fx, fy, cx, cy, width, height)
+    except (ValueError, KeyError, TypeError, InputError) as error:
+        raise DataFormatError(f"{fmt.CAMERA_FILE}: fx, fy, cx and cy expected ({error})") from None
 
 
 def decode_png(data: bytes, channels: int, where: str) -> np.ndarray:

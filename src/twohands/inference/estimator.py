@@ -16,15 +16,15 @@ from twohands.errors import InputError
 from twohands.geometry.boxes import apply_homography, perspective_crop, square_crop
 from twohands.geometry.composition import compose_hand_input
 from twohands.geometry.projection import project_global
-from twohands.inference.engine import Networks, load_networks
-from twohands.inference.read_out import read_joints
-from twohands.inference.segmentation import (
+from twohands.geometry.segmentation import (
     HandBoxes,
     boxes_from_energy,
     letterbox,
     masks_from_logits,
     network_input,
 )
+from twohands.inference.engine import Networks, load_networks
+from twohands.inference.read_out import read_joints
 from twohands.inference.weights import DEFAULT_PRESET, WeightsCard, preset_folder, read_card
 from twohands.skeleton import RIGHT
 from twohands.types import GlobalPose, HandCrop, HandPose, PinholeCamera, TwoHandPose

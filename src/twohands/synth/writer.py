@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 
 import cv2
 import numpy as np
@@ -12,8 +13,8 @@ from twohands.errors import InputError
 from twohands.geometry.camera import project
 from twohands.geometry.canonical import canonical_from_camera
 from twohands.geometry.rotation import centring_angles, rotation_from_angles
-from twohands.skeleton import ELBOW, ROOT, WRIST
-from twohands.types import RenderedFrame
+from twohands.skeleton import ROOT, WRIST
+from twohands.types import PinholeCamera, RenderedFrame
 
 
 def encode_instance(frame: RenderedFrame, image: np.ndarray) -> dict[str, bytes]:
@@ -24,10 +25,12 @@ def encode_instance(frame: RenderedFrame, image: np.ndarray) -> dict[str, bytes]
         image: (H, W, 3) uint8 RGB, the hands on a background.
 
     Returns:
-        File name -> contents, all seven files of the layout.
+        File name -> contents: all seven files of the layout, and `camera.json` if the camera is not the official one.
     """
     height, width = frame.part_labels.shape
-    return {
+    camera = frame.camera
+    files = {} if camera == PinholeCamera.ego3dhands(width, height) else {layout.CAMERA_FILE: _camera(camera)}
+    return files | {
         layout.COLOR_FILE: _png(np.dstack([frame.rgb[..., ::-1], frame.alpha])),
         layout.IMAGE_FILE: _png(image[..., ::-1]),
         layout.LABELS_FILE: _png(layout.encode_labels(frame.part_labels)),
@@ -41,15 +44,14 @@ def encode_instance(frame: RenderedFrame, image: np.ndarray) -> dict[str, bytes]
 def joints_px_with_elbow(frame: RenderedFrame) -> np.ndarray:
     """(2, 22, 2) pixels of all joints; NaN for an absent hand.
 
-    An elbow may lie behind the camera, where nothing projects. The layout wants a number for it all the same: the
-    pinhole formula's, far outside the picture.
+    An elbow, or a joint of a hand that is partly out of the picture, may lie behind the camera, where nothing projects.
+    The layout wants a number for it all the same: the pinhole formula's, far outside the picture.
     """
     joints_px = np.array(project(frame.joints_m, frame.camera))
-    elbow = frame.joints_m[:, ELBOW]
-    behind = elbow[:, 2] <= 0
-    depth = np.minimum(elbow[behind, 2], -1e-3)[:, None]
+    behind = frame.joints_m[..., 2] <= 0
+    points = frame.joints_m[behind]
     focal, centre = [frame.camera.fx, frame.camera.fy], [frame.camera.cx, frame.camera.cy]
-    joints_px[behind, ELBOW] = elbow[behind, :2] / depth * focal + centre
+    joints_px[behind] = points[:, :2] / np.minimum(points[:, 2:], -1e-3) * focal + centre
     return joints_px
 
 
@@ -82,6 +84,10 @@ def _png(pixels: np.ndarray) -> bytes:
     if not ok:
         raise InputError("a picture could not be encoded as PNG")
     return data.tobytes()
+
+
+def _camera(camera: PinholeCamera) -> bytes:
+    return (json.dumps({name: getattr(camera, name) for name in ("fx", "fy", "cx", "cy")}) + "\n").encode()
 
 
 def _npy(array: np.ndarray) -> bytes:

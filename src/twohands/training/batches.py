@@ -17,7 +17,7 @@ from torch.utils.data import DataLoader, Dataset, Sampler
 
 from twohands.datasets.targets import PoseTarget, Segmentation, pose_target, segmentation_target
 from twohands.errors import InputError
-from twohands.inference.segmentation import boxes_from_energy, letterbox, masks_from_logits, network_input
+from twohands.geometry.segmentation import boxes_from_energy, letterbox, masks_from_logits, network_input
 from twohands.models.checkpoint import load_network
 from twohands.skeleton import LEFT, RIGHT
 from twohands.training.config import TrainConfig

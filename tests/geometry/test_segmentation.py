@@ -6,7 +6,7 @@ from tests.oracles import drawn_hands, true_boxes
 
 from twohands.geometry.boxes import box_iou
 from twohands.geometry.heatmaps import encode_energy
-from twohands.inference.segmentation import (
+from twohands.geometry.segmentation import (
     PRESENCE_THRESHOLD,
     boxes_from_energy,
     energy_box,
