@@ -35,7 +35,6 @@ EXTRAS = {
     "moderngl": {"synth"},
     "anny": {"synth"},
     "matplotlib": {"visualization"},
-    "ray": set(),
 }
 """Optional packages, and the rooms whose modules may need them to be imported; elsewhere only inside functions."""
 

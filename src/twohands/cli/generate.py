@@ -7,7 +7,6 @@ writes only what is missing. Kinds of sets and splits never share scenes, even w
 from __future__ import annotations
 
 import dataclasses
-import importlib.util
 import os
 import sys
 from dataclasses import dataclass, field
@@ -17,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from twohands.cli.progress import progress_of
-from twohands.errors import InputError, MissingExtraError
+from twohands.errors import InputError
 from twohands.synth.config import PAPER, PRESETS, SynthConfig
 from twohands.synth.motion import MotionConfig
 
@@ -59,10 +58,6 @@ class GenerateArgs:
     """Instances per tar shard."""
     workers: int = 0
     """Processes; 0 takes all cores."""
-    engine: Literal["local", "ray"] = "local"
-    """Who renders: processes of this machine, or a Ray cluster (extra 'cluster')."""
-    ray_address: str | None = None
-    """Of a running Ray cluster, "auto" for the one of this machine; without it, one is started here."""
     preset: Literal["paper", "wild"] = "paper"
     """paper: one character and one camera, as in the paper; wild: all kinds of adults, cameras and clothes, hands that
     meet. Settings given as --config.NAME change it."""
@@ -91,18 +86,7 @@ def configured(args: GenerateArgs) -> SynthConfig:
 
 
 def executor_of(args: GenerateArgs) -> Executor:
-    """Who does the work.
-
-    Raises:
-        MissingExtraError: Ray is asked for and not installed.
-    """
-    if args.engine == "ray":
-        from twohands.synth.ray_cluster import RayCluster
-
-        if importlib.util.find_spec("ray") is None:
-            raise MissingExtraError("--engine ray", "cluster")
-        return RayCluster(args.ray_address, args.workers)
-
+    """Who does the work: processes of this machine."""
     from twohands.synth.executors import LocalProcesses
 
     return LocalProcesses(args.workers or os.cpu_count() or 1)
@@ -163,10 +147,8 @@ def report(outcome: Outcome, args: GenerateArgs, total: int) -> None:
 def _frames(args: GenerateArgs) -> int:
     from twohands.synth.cache import build_cache
 
-    if args.backgrounds or args.split != "train" or args.format != "ego3dhands" or args.engine != "local":
-        raise InputError(
-            "frames have no background, split or format: leave --backgrounds, --split, --format and --engine out"
-        )
+    if args.backgrounds or args.split != "train" or args.format != "ego3dhands":
+        raise InputError("frames have no background, split or format: leave --backgrounds, --split and --format out")
     config = dataclasses.replace(args.config, width=FRAME_SIZE[0], height=FRAME_SIZE[1])
     with progress_of("frames") as progress:
         build_cache(

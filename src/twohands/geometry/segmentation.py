@@ -9,7 +9,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
+Floats = NDArray[np.floating]
 PRESENCE_THRESHOLD = 0.35
 """A hand is absent where its energy peaks below this.
 
@@ -94,7 +96,8 @@ def network_input(images: np.ndarray) -> np.ndarray:
     Returns:
         (B, 3, H, W) float32, (value - 128) / 256; black is -0.5 (SPEC 2).
     """
-    return np.ascontiguousarray(((images.astype(np.float32) - 128.0) / 256.0).transpose(0, 3, 1, 2))
+    normalised: Floats = (images.astype(np.float32) - 128.0) / 256.0
+    return np.ascontiguousarray(np.moveaxis(normalised, 3, 1))
 
 
 def masks_from_logits(logits: np.ndarray, image_size: tuple[int, int], present: np.ndarray) -> np.ndarray:
@@ -151,7 +154,8 @@ def energy_box(energy: np.ndarray) -> np.ndarray | None:
     count, _, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
     if count < 2:
         return None
-    left, top, width, height, _ = stats[1 + np.argmax(stats[1:, cv2.CC_STAT_AREA])]
+    largest = 1 + int(np.argmax(np.asarray(stats)[1:, cv2.CC_STAT_AREA]))
+    left, top, width, height = (int(value) for value in np.asarray(stats)[largest, :4])
     return np.array([left, top, left + width, top + height], np.float64)
 
 
@@ -183,4 +187,5 @@ def boxes_from_energy(
 
 def _grey_levels(energy: np.ndarray) -> np.ndarray:
     """(h, w) energies 0..1 as uint8 levels."""
-    return np.clip(np.rint(energy * 255.0), 0, 255).astype(np.uint8)
+    levels: Floats = np.rint(energy * 255.0)
+    return np.minimum(np.maximum(levels, 0), 255).astype(np.uint8)
