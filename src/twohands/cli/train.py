@@ -35,7 +35,9 @@ class TrainArgs:
     recipe: Literal["ours", "paper"] = "ours"
     """ours: slim networks that learn in minutes on a CPU; paper: networks, losses and schedule of the publication."""
     weights: tuple[Path, ...] = ()
-    """Checkpoints to start from; pose_net_3d needs one of pose_net_2d."""
+    """Checkpoints to start from, of a run or of a preset (its .onnx files); pose_net_3d needs one of pose_net_2d."""
+    segmentation: Path | None = None
+    """Pose stages: trained HandSegNet whose masks and boxes are mixed in, so that they learn from its errors."""
     max_minutes: float | None = None
     """Wall-clock budget over all resumes, 0 for none; default: the recipe's."""
     iterations: int | None = None
@@ -83,7 +85,12 @@ def resolve(args: TrainArgs):
     }
     config = dataclasses.replace(config, **{name: value for name, value in given.items() if value is not None})
     backgrounds = ",".join(map(str, args.backgrounds))
-    data = {"source": args.data or None, "workers": args.workers, "backgrounds": backgrounds or None}
+    data = {
+        "source": args.data or None,
+        "workers": args.workers,
+        "backgrounds": backgrounds or None,
+        "segmentation": str(args.segmentation) if args.segmentation else None,
+    }
     changes = {name: value for name, value in data.items() if value is not None}
     config = dataclasses.replace(config, data=dataclasses.replace(config.data, **changes))
     for assignment in args.set:
