@@ -9,7 +9,7 @@ import torch
 from tests.builders import make_sample, make_samples
 from tests.training.tiny import NETWORKS, tiny_run
 
-from twohands.datasets.targets import Segmentation, crop_matrix
+from twohands.datasets.targets import Segmentation, crop_matrix, hand_box, hand_classes
 from twohands.errors import InputError
 from twohands.models.checkpoint import save_network
 from twohands.models.presets import build_network
@@ -89,17 +89,30 @@ def segmented_run(tmp_path_factory):
     )
 
 
-def test_crops_follow_the_predicted_boxes_and_masks(segmented_run):
-    sample = SAMPLES[0]
+def test_a_segmenter_answers_for_every_picture(segmented_run):
     segmenter = Segmenter(Path(segmented_run.data.segmentation))
-    (found,) = segmenter([sample.image])
-    assert np.isfinite(found.boxes_px).all() and found.classes.shape == sample.image.shape[:2]
-    batch = pose_batch([sample], segmented_run, (), segmenter)
+    found = segmenter([sample.image for sample in SAMPLES])
+    assert len(found) == len(SAMPLES)
+    for sample, answer in zip(SAMPLES, found, strict=True):
+        assert answer.classes.shape == sample.image.shape[:2] and answer.classes.max() <= 2
+        assert answer.boxes_px.shape == (2, 4)
+
+
+def test_crops_follow_the_predicted_boxes_and_masks(segmented_run):
+    """Boxes shifted by 3 pixels and masks that swap the hands' places show in the crops."""
+    sample = SAMPLES[0]
+    boxes = np.stack([hand_box(sample, side) for side in (0, 1)]) + np.array([3.0, 0.0, 3.0, 0.0])
+    classes = np.array([0, 2, 1], np.uint8)[hand_classes(sample.labels)]
+    batch = pose_batch([sample], segmented_run, (), lambda images: [Segmentation(classes, boxes)])
     size = segmented_run.networks.pose_net_2d.crop_size
-    for i, side in enumerate(batch["side"].tolist()):
-        expected = crop_matrix(found.boxes_px[side], sample.camera, side, size, segmented_run.crop)
+    assert batch["side"].tolist() == [0, 1]
+    for i, side in enumerate((0, 1)):
+        expected = crop_matrix(boxes[side], sample.camera, side, size, segmented_run.crop)
         np.testing.assert_allclose(batch["image_from_crop"][i], expected, rtol=1e-5)
-    assert not torch.equal(batch["image"], pose_batch([sample], segmented_run, ())["image"])
+    plain_masks = Segmentation(hand_classes(sample.labels), boxes)
+    plain = pose_batch([sample], segmented_run, (), lambda images: [plain_masks])
+    assert torch.equal(batch["joints_px"], plain["joints_px"])
+    assert not torch.equal(batch["image"], plain["image"])
 
 
 def test_the_share_of_predicted_crops_is_as_asked(segmented_run):

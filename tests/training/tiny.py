@@ -9,7 +9,7 @@ from twohands.models.presets import NetworkConfigs
 from twohands.training.config import AugmentConfig, StageName, TrainConfig, recipe
 
 NETWORKS = NetworkConfigs(
-    HandSegNetConfig("encoder-decoder", height=64, width_px=96, width=0.25),
+    HandSegNetConfig("encoder-decoder", height=64, width_px=96, width=0.5),
     PoseNet2DConfig("encoder-decoder", crop_size=128, stages=1, width=0.25, activation="softmax", sigma=1.5),
     PoseNet3DConfig(width=0.125, fc_relu=True),
 )
