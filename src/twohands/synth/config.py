@@ -83,8 +83,8 @@ class SynthConfig:
         for name in ("together", "sleeves", "gloves"):
             if not 0 <= getattr(self, name) <= 1:
                 raise InputError(f"{name} must lie in [0, 1], got {getattr(self, name)}")
-        if not 1 <= self.lights <= 8:
-            raise InputError(f"lights must be 1 to 8, got {self.lights}")
+        if not 1 <= self.lights <= 4:
+            raise InputError(f"lights must be 1 to 4, got {self.lights}")
 
 
 PAPER = SynthConfig()

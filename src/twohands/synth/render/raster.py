@@ -1,13 +1,14 @@
 """OpenGL renderer (moderngl on EGL, extra `synth`): a few milliseconds a frame in software, less on a GPU.
 
-Two passes over the same triangles: one multi-sampled for colour and coverage, one single-sampled for exact labels
-and depth. Skinning runs in the vertex shader.
+Every vertex is posed and shaded once, into a buffer; two passes draw that buffer's triangles: one multi-sampled for
+colour and coverage, one single-sampled for exact labels and depth.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
+import cv2
 import numpy as np
 
 from twohands.errors import MissingExtraError, RendererError
@@ -20,6 +21,8 @@ from twohands.synth.render.shaders import (
     LABEL_VERTEX,
     MAX_CAPSULES,
     MAX_LIGHTS,
+    POSE_VERTEX,
+    POSED,
 )
 from twohands.synth.render.surface import surface, vertex_normals
 from twohands.synth.scene import SceneSpec
@@ -81,35 +84,38 @@ class RasterRenderer:
         asset, attributes = load_asset(), surface()
         self._first_face = attributes.first_face
         self._face_count = len(attributes.faces)
-        self._rest_weight = (1 - asset.bone_weight.sum(1)).astype(np.float32)
-
-        static = np.concatenate(
-            [
-                asset.bone_index[:, :8].astype(np.float32),
-                asset.bone_weight[:, :8].astype(np.float32),
-                self._rest_weight[:, None],
-                attributes.label[:, None],
-                attributes.palmar[:, None],
-                attributes.flush[:, None],
-                attributes.nail,
-                attributes.along[:, None],
-            ],
-            axis=1,
-        )
+        rest_weight = 1 - asset.bone_weight.sum(1, keepdims=True)
+        skinning = [asset.bone_index[:, :8], asset.bone_weight[:, :8], rest_weight, attributes.along[:, None]]
+        looks = [attributes.label, attributes.palmar, attributes.flush, attributes.nail, attributes.along]
         self._shape_key: tuple[float, ...] | None = None
-        self._shape_buffer = ctx.buffer(reserve=asset.n_vertices * 6 * 4)
-        static_buffer = ctx.buffer(np.ascontiguousarray(static, np.float32).tobytes())
-        index_buffer = ctx.buffer(attributes.faces.tobytes())
-        self._colour = ctx.program(vertex_shader=COLOUR_VERTEX, fragment_shader=COLOUR_FRAGMENT)
+        self._shape = ctx.buffer(reserve=asset.n_vertices * 6 * 4)
+        self._posed = ctx.buffer(reserve=asset.n_vertices * 14 * 4)
+        look_buffer, index_buffer = _vertex_buffer(ctx, looks), ctx.buffer(attributes.faces.tobytes())
+        self._pose = ctx.program(vertex_shader=POSE_VERTEX, varyings=POSED)
         self._label = ctx.program(vertex_shader=LABEL_VERTEX, fragment_shader=LABEL_FRAGMENT)
-        names = ("bones_a", "bones_b", "weights_a", "weights_b", "surface", "nail", "along")
-        self._arrays = []
-        for program in (self._colour, self._label):
-            content = [
-                (self._shape_buffer, "3f 3f", "position", "normal"),
-                (static_buffer, "4f 4f 4f 4f 4f 3f 1f", *names),
-            ]
-            self._arrays.append(ctx.vertex_array(program, content, index_buffer, skip_errors=True))
+        self._colour = ctx.program(vertex_shader=COLOUR_VERTEX, fragment_shader=COLOUR_FRAGMENT)
+        names = ("bones_a", "bones_b", "weights_a", "weights_b", "resting", "along")
+        self._rest_array = ctx.vertex_array(
+            self._pose,
+            [
+                (self._shape, "3f 3f", "position", "normal"),
+                (_vertex_buffer(ctx, skinning), "4f 4f 4f 4f 1f 1f", *names),
+            ],
+        )
+        self._label_array = ctx.vertex_array(
+            self._label,
+            [(self._posed, "3f 44x", "camera_position"), (look_buffer, "1f 24x", "part")],
+            index_buffer,
+        )
+        self._colour_array = ctx.vertex_array(
+            self._colour,
+            [
+                (self._posed, "3f 3f 3f 4f 1f", *POSED),
+                (self._shape, "3f 12x", "position"),
+                (look_buffer, "4x 2f 3f 1f", "look", "nail", "along"),
+            ],
+            index_buffer,
+        )
 
         size = (width, height)
         samples = min(samples, ctx.max_samples)
@@ -117,8 +123,11 @@ class RasterRenderer:
             [ctx.renderbuffer(size, 4, samples=samples)], ctx.depth_renderbuffer(size, samples=samples)
         )
         self._resolved = ctx.framebuffer([ctx.renderbuffer(size, 4)])
-        self._labelled = ctx.framebuffer([ctx.renderbuffer(size, 2, dtype="f4")], ctx.depth_renderbuffer(size))
+        self._labelled = ctx.framebuffer(
+            [ctx.renderbuffer(size, 1), ctx.renderbuffer(size, 1, dtype="f4")], ctx.depth_renderbuffer(size)
+        )
         ctx.enable(ctx.DEPTH_TEST | ctx.CULL_FACE)
+        ctx.front_face = "cw"  # pictures are drawn head down, so that rows are read from the top
 
     def render(self, scene: SceneSpec) -> RenderedFrame:
         """Renders one scene.
@@ -132,29 +141,26 @@ class RasterRenderer:
         if (scene.camera.width, scene.camera.height) != (self.width, self.height):
             raise ValueError(f"scene is {scene.camera.width}x{scene.camera.height}, not {self.width}x{self.height}")
         self._upload_shape(scene)
-        palette = _palette(scene)
         projection = _projection(scene.camera)
+        self._pose["bones"].write(_palette(scene))
         for program in (self._colour, self._label):
-            program["bones"].write(palette)
             program["projection"].write(projection)
-            program["sleeve_from"].value = min(scene.clothes.sleeve_from, NOWHERE)
-            program["glove_until"].value = max(scene.clothes.glove_until, -NOWHERE)
-            program["thickness"].value = scene.clothes.thickness_m
         self._write_look(scene)
         self._write_occluders(scene)
-
+        self._labelled.use()  # before the vertices: without a complete framebuffer OpenGL draws nothing
+        self._rest_array.transform(self._posed)
+        self.ctx.clear(0.0, 0.0, 0.0, 0.0)
+        self._draw(self._label_array, scene.present)
         self._multisampled.use()
         self.ctx.clear(0.0, 0.0, 0.0, 0.0)
-        self._draw(self._arrays[0], scene.present)
+        self._draw(self._colour_array, scene.present)
         self.ctx.copy_framebuffer(self._resolved, self._multisampled)
-        self._labelled.use()
-        self.ctx.clear(0.0, 0.0, 0.0, 0.0)
-        self._draw(self._arrays[1], scene.present)
 
         shape = (self.height, self.width)
+        labels = np.frombuffer(self._labelled.read(components=1, alignment=1), np.uint8).reshape(shape)
+        depth = np.frombuffer(self._labelled.read(components=1, attachment=1, dtype="f4"), np.float32).reshape(shape)
         colour = np.frombuffer(self._resolved.read(components=4), np.uint8).reshape(*shape, 4)
-        planes = np.frombuffer(self._labelled.read(components=2, dtype="f4"), np.float32).reshape(*shape, 2)
-        return _frame(colour[::-1], planes[::-1], scene)
+        return _frame(colour, labels, depth, scene)
 
     def _draw(self, array: Any, present: np.ndarray) -> None:
         bounds = (*self._first_face, self._face_count)
@@ -168,43 +174,50 @@ class RasterRenderer:
         vertices = scene.body.vertices
         # The camera frame keeps Anny's handedness, so its triangles stay counter-clockwise from outside.
         data = np.concatenate([vertices, vertex_normals(vertices, load_asset().faces)], axis=1)
-        self._shape_buffer.write(np.ascontiguousarray(data, np.float32).tobytes())
+        self._shape.write(np.ascontiguousarray(data, np.float32).tobytes())
         self._shape_key = key
 
     def _write_look(self, scene: SceneSpec) -> None:
-        program, skin, light = self._colour, scene.skin, scene.lighting
+        skin, light, clothes = scene.skin, scene.lighting, scene.clothes
         positions, colours = np.zeros((MAX_LIGHTS, 3)), np.zeros((MAX_LIGHTS, 3))
         positions[: len(light.positions)] = light.positions
         colours[: len(light.colours)] = light.colours
-        # Lights stand in the body's metres, so that scaling the world leaves the picture as it is.
-        program["light_position"].write((positions * scene.scale).astype("f4").tobytes())
-        program["light_colour"].write((colours * scene.scale**2).astype("f4").tobytes())
-        clothes = scene.clothes
-        for name, value in (
-            ("sleeve_albedo", clothes.sleeve_albedo),
-            ("glove_albedo", clothes.glove_albedo),
-            ("pattern", clothes.pattern),
-            ("sky", light.sky),
-            ("ground", light.ground),
-            ("albedo", skin.albedo),
-            ("palm_albedo", skin.palm_albedo),
-            ("nail_albedo", skin.nail_albedo),
-            ("noise_offset", skin.seed),
-        ):
-            program[name].value = tuple(float(v) for v in value)
-        program["light_count"].value = len(light.positions)
-        program["roughness"].value = skin.roughness
-        program["mottle"].value = skin.mottle
+        for program in (self._colour, self._pose):
+            # Lights stand in the body's metres, so that scaling the world leaves the picture as it is.
+            program["light_position"].write((positions * scene.scale).astype("f4").tobytes())
+            program["light_colour"].write((colours * scene.scale**2).astype("f4").tobytes())
+            program["light_count"].value = len(light.positions)
+            program["sleeve_from"].value = min(clothes.sleeve_from, NOWHERE)
+            program["glove_until"].value = max(clothes.glove_until, -NOWHERE)
+            program["sleeve_albedo"].value = tuple(clothes.sleeve_albedo)
+            program["albedo"].value = tuple(skin.albedo)
+            program["noise_offset"].value = tuple(skin.seed)
+        self._pose["thickness"].value = clothes.thickness_m
+        self._pose["sky"].value = tuple(light.sky)
+        self._pose["ground"].value = tuple(light.ground)
+        colour = self._colour
+        colour["palm_albedo"].value = tuple(skin.palm_albedo)
+        colour["nail_albedo"].value = tuple(skin.nail_albedo)
+        colour["glove_albedo"].value = tuple(clothes.glove_albedo)
+        colour["pattern"].value = tuple(clothes.pattern)
+        colour["roughness"].value = skin.roughness
+        colour["mottle"].value = skin.mottle
 
     def _write_occluders(self, scene: SceneSpec) -> None:
         starts, ends, radii = capsules(scene.body, scene.joints_m[scene.present])
-        buffers = np.zeros((2, MAX_CAPSULES, 4), np.float32)
+        along = ends - starts
+        rows = np.zeros((2, MAX_CAPSULES, 4), np.float32)
         count = len(radii)
-        buffers[0, :count] = np.concatenate([starts, radii[:, None] * scene.scale], axis=1)
-        buffers[1, :count, :3] = ends
-        self._colour["capsule_from"].write(buffers[0].tobytes())
-        self._colour["capsule_to"].write(buffers[1].tobytes())
-        self._colour["capsule_count"].value = count
+        rows[0, :count] = np.concatenate([starts, radii[:, None] * scene.scale], axis=1)
+        rows[1, :count] = np.concatenate([along, 1 / (along**2).sum(1, keepdims=True)], axis=1)
+        self._pose["capsule_from"].write(rows[0].tobytes())
+        self._pose["capsule_along"].write(rows[1].tobytes())
+        self._pose["capsule_count"].value = count
+
+
+def _vertex_buffer(ctx: Any, columns: list[np.ndarray]) -> Any:
+    """A buffer of float32 rows, one per vertex, from arrays of V rows or V numbers."""
+    return ctx.buffer(np.column_stack(columns).astype(np.float32).tobytes())
 
 
 def _palette(scene: SceneSpec) -> bytes:
@@ -218,13 +231,13 @@ def _palette(scene: SceneSpec) -> bytes:
 
 
 def _projection(camera: PinholeCamera) -> bytes:
-    """OpenGL clip matrix of a pinhole camera looking along +z with y down, column-major bytes."""
+    """OpenGL clip matrix of a pinhole camera looking along +z with y down, row 0 lowest, column-major bytes."""
     a = (FAR_M + NEAR_M) / (FAR_M - NEAR_M)
     b = -2 * FAR_M * NEAR_M / (FAR_M - NEAR_M)
     matrix = np.array(
         [
             [2 * camera.fx / camera.width, 0, 2 * camera.cx / camera.width - 1, 0],
-            [0, -2 * camera.fy / camera.height, 1 - 2 * camera.cy / camera.height, 0],
+            [0, 2 * camera.fy / camera.height, 2 * camera.cy / camera.height - 1, 0],
             [0, 0, a, b],
             [0, 0, 1, 0],
         ],
@@ -233,17 +246,14 @@ def _projection(camera: PinholeCamera) -> bytes:
     return np.ascontiguousarray(matrix.T).tobytes()
 
 
-def _frame(colour: np.ndarray, planes: np.ndarray, scene: SceneSpec) -> RenderedFrame:
-    """Turns read-back planes (premultiplied colour; label and z) into a RenderedFrame with one common mask."""
-    labels = planes[..., 0].astype(np.uint8)
-    mask = (labels > 0).view(np.uint8)
-    # Both passes clear to zero, so depth is already zero off the mask; coverage is made to agree with the labels.
-    depth = np.ascontiguousarray(planes[..., 1])
-    alpha = np.maximum(colour[..., 3], 1) * mask
-    rgb = colour[..., :3] * mask[..., None]
-    partial = (alpha > 0) & (alpha < 255)
-    if partial.any():
-        # Where some samples missed the hand, the resolved colour is darkened by the empty ones.
-        straight = rgb[partial].astype(np.float32) * 255 / alpha[partial, None].astype(np.float32)
-        rgb[partial] = np.clip(straight + 0.5, 0, 255).astype(np.uint8)
+def _frame(colour: np.ndarray, labels: np.ndarray, depth: np.ndarray, scene: SceneSpec) -> RenderedFrame:
+    """A RenderedFrame with one common mask, from planes that were cleared to zero and premultiplied colour."""
+    mask = np.minimum(labels, 1)
+    rgba = cv2.copyTo(colour, mask)
+    rgb, alpha = cv2.cvtColor(rgba, cv2.COLOR_RGBA2RGB), np.maximum(cv2.extractChannel(rgba, 3), mask)
+    # Where some samples missed the hand, the resolved colour is darkened by the empty ones.
+    partial = np.flatnonzero(cv2.inRange(alpha, 1, 254))
+    darkened = rgb.reshape(-1, 3)[partial].astype(np.float32)
+    straight = darkened * (255 / alpha.ravel()[partial, None].astype(np.float32))
+    rgb.reshape(-1, 3)[partial] = np.clip(straight + 0.5, 0, 255).astype(np.uint8)
     return RenderedFrame(rgb, alpha, depth, labels, scene.joints_m, scene.present, scene.camera)
