@@ -28,8 +28,8 @@ class TrainArgs:
     """Which network: hand_seg_net, pose_net_2d or pose_net_3d."""
     out: Path
     """Folder of the run."""
-    data: str = ""
-    """Folder of training pictures, or "synthetic" to render them on the fly; needed unless resuming."""
+    data: tuple[str, ...] = ()
+    """Folders of training pictures, or "synthetic" to render them on the fly; needed unless resuming."""
     backgrounds: tuple[Path, ...] = ()
     """Folders of photographs to put behind rendered hands, beside procedural backgrounds."""
     recipe: Literal["ours", "paper"] = "ours"
@@ -86,7 +86,7 @@ def resolve(args: TrainArgs):
     config = dataclasses.replace(config, **{name: value for name, value in given.items() if value is not None})
     backgrounds = ",".join(map(str, args.backgrounds))
     data = {
-        "source": args.data or None,
+        "source": ",".join(args.data) or None,
         "workers": args.workers,
         "backgrounds": backgrounds or None,
         "segmentation": str(args.segmentation) if args.segmentation else None,

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor, nn
 
 
 def scaled(channels: int, width: float) -> int:
-    """`channels` times `width`, rounded to a multiple of 8 (vector units work on 8 or 16 channels), at least 8."""
-    return max(8, 8 * round(channels * width / 8))
+    """`channels` times `width`, rounded up to what matrix units take whole: a multiple of 8, beyond 32 channels of 16,
+    beyond 64 of 32 (80 channels train slower than 96)."""
+    asked = channels * width
+    step = 8 if asked <= 32 else 16 if asked <= 64 else 32
+    return max(8, step * math.ceil(asked / step - 1e-9))
 
 
 def conv_bn_relu(

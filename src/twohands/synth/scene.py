@@ -17,7 +17,9 @@ from twohands.synth.config import SynthConfig
 from twohands.synth.pose import ArmAnatomy, HandAngles, rotation_about, unit
 from twohands.types import PinholeCamera
 
-MAX_TRIES = 2000
+MAX_TRIES = 400
+TRIES_PER_VIEW = 10
+"""Attempts to pose a person before another camera: some narrow views show no hand of the box."""
 SHAPE_RANK = 24
 """Leading shape directions that random people use; the rest are below what a picture shows."""
 
@@ -307,17 +309,17 @@ def sample_scene(config: SynthConfig, seed: int, index: int) -> SceneSpec:
         InputError: the hand box cannot be reached or seen with this configuration.
     """
     rng = instance_rng(seed, index)
-    shape = sample_shape(config, rng)
-    key = tuple(shape.tolist())
-    body, anatomy = _body(key), _anatomy(key)
-    camera, view = sample_camera(config, rng)
-    present = rng.random(2) >= config.drop_rate
-    if not present.any():
-        present[rng.integers(2)] = True
-
-    rotations = np.tile(np.eye(3), (2 * BONES_PER_SIDE, 1, 1))
-    sides = [side for side in (LEFT, RIGHT) if present[side]]
-    for _ in range(MAX_TRIES):
+    for attempt in range(MAX_TRIES):
+        if attempt % TRIES_PER_VIEW == 0:
+            shape = sample_shape(config, rng)
+            key = tuple(shape.tolist())
+            body, anatomy = _body(key), _anatomy(key)
+            camera, view = sample_camera(config, rng)
+            present = rng.random(2) >= config.drop_rate
+            if not present.any():
+                present[rng.integers(2)] = True
+            rotations = np.tile(np.eye(3), (2 * BONES_PER_SIDE, 1, 1))
+            sides = [side for side in (LEFT, RIGHT) if present[side]]
         together = len(sides) == 2 and rng.random() < config.together
         first = int(rng.integers(2)) if together else 0
         partner = None

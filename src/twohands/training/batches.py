@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import bisect
+import itertools
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -52,6 +54,26 @@ class IndexRange:
         if not 0 <= index < len(self):
             raise IndexError(index)
         return self.source[self.start + index]
+
+
+@dataclass(frozen=True)
+class Joined:
+    """Several sources, one after the other."""
+
+    sources: tuple[SampleSource, ...]
+
+    @cached_property
+    def _ends(self) -> list[int]:
+        return list(itertools.accumulate(len(source) for source in self.sources))
+
+    def __len__(self) -> int:
+        return self._ends[-1] if self.sources else 0
+
+    def __getitem__(self, index: int, /) -> HandSample:
+        if not 0 <= index < len(self):
+            raise IndexError(index)
+        at = bisect.bisect_right(self._ends, index)
+        return self.sources[at][index - (self._ends[at - 1] if at else 0)]
 
 
 def segmentation_batch(samples: Sequence[HandSample], config: TrainConfig, rngs: Rngs) -> Batch:

@@ -33,9 +33,9 @@ class DataConfig:
     """Where the pictures come from."""
 
     source: str = ""
-    """Folder of training pictures, or the name of a built-in source (see `training.sources`)."""
+    """Folders of training pictures, separated by commas, or the name of a built-in source (see `training.sources`)."""
     validation: int = 256
-    """Pictures held out, from the end of the source, at most a tenth of it."""
+    """Pictures held out, from the ends of the folders, at most a tenth of each."""
     seed: int = 0
     """Seed of sources that make their pictures."""
     backgrounds: str = ""

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from twohands.errors import InputError
-from twohands.training.batches import IndexRange, SampleSource
+from twohands.training.batches import IndexRange, Joined, SampleSource
 from twohands.training.config import DataConfig
 
 if TYPE_CHECKING:
@@ -24,11 +24,11 @@ def open_source(spec: DataConfig, *, with_empty: bool = False) -> tuple[SampleSo
     """Training and held-out pictures.
 
     Args:
-        spec: `source` is a folder in the Ego3DHands layout, a folder of cached frames, or "synthetic".
+        spec: `source` names folders, each in the Ego3DHands layout or of cached frames, or is "synthetic".
         with_empty: whether cached frames also give pictures without hands (`spec.empty`).
 
     Returns:
-        (training, validation); the validation pictures come from the end of the source, at most a tenth of it, and
+        (training, validation); the validation pictures come from the end of every source, at most a tenth of it, and
         share no frame with the training pictures.
 
     Raises:
@@ -37,16 +37,23 @@ def open_source(spec: DataConfig, *, with_empty: bool = False) -> tuple[SampleSo
     """
     if spec.source == SYNTHETIC:
         return split(_synthetic(spec), spec.validation)
-    folder = Path(spec.source)
-    if not spec.source or not folder.is_dir():
-        raise InputError(f"training data '{spec.source}': expected a folder or '{SYNTHETIC}'")
+    names = [name.strip() for name in spec.source.split(",")]
+    pairs = [_open_folder(name, spec, spec.validation // len(names), with_empty) for name in names]
+    training, held_out = zip(*pairs, strict=True)
+    return Joined(training), Joined(held_out)
+
+
+def _open_folder(name: str, spec: DataConfig, validation: int, with_empty: bool) -> tuple[SampleSource, SampleSource]:
+    folder = Path(name)
+    if not name or not folder.is_dir():
+        raise InputError(f"training data '{name}': expected a folder or '{SYNTHETIC}'")
 
     from twohands.synth.cache import FrameCache
 
     if FrameCache.is_cache(folder):
         backgrounds = _backgrounds(spec)
         frames = len(FrameCache(folder).indices)
-        cut = frames - min(spec.validation, frames // 10)
+        cut = frames - min(validation, frames // 10)
         return (
             FrameCache(
                 folder, backgrounds, (0, cut), variants=spec.variants, empty_rate=spec.empty if with_empty else 0.0
@@ -56,7 +63,7 @@ def open_source(spec: DataConfig, *, with_empty: bool = False) -> tuple[SampleSo
 
     from twohands.datasets.ego3dhands import Ego3DHands
 
-    return split(Ego3DHands(folder), spec.validation)
+    return split(Ego3DHands(folder), validation)
 
 
 def split(source: SampleSource, validation: int) -> tuple[IndexRange, IndexRange]:

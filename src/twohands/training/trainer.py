@@ -65,7 +65,7 @@ def build_optimizer(stage: Stage, config: OptimConfig) -> torch.optim.Optimizer:
     if config.optimizer == "sgd":
         return torch.optim.SGD(groups, lr=config.learning_rate)
     kind = torch.optim.AdamW if config.optimizer == "adamw" else torch.optim.Adam
-    return kind(groups, lr=config.learning_rate, betas=(0.9, 0.999))
+    return kind(groups, lr=config.learning_rate, betas=(0.9, 0.999), fused=True)
 
 
 @dataclass
