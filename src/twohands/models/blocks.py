@@ -128,3 +128,18 @@ def calm_output(layer: nn.Conv2d | nn.Linear) -> None:
     Kaiming's scale keeps activations alive between layers; at the output it only means large errors to unlearn.
     """
     nn.init.normal_(layer.weight, std=0.01)
+
+
+def fold_batch_norm(module: nn.Module) -> None:
+    """Merge every batch normalisation that follows a convolution in a `Sequential` into that convolution, in place.
+
+    Args:
+        module: in evaluation mode; its outputs stay the same, to rounding.
+    """
+    for part in module.modules():
+        if not isinstance(part, nn.Sequential):
+            continue
+        for i in range(len(part) - 1):
+            convolution, norm = part[i], part[i + 1]
+            if isinstance(convolution, nn.Conv2d) and isinstance(norm, nn.BatchNorm2d):
+                part[i], part[i + 1] = nn.utils.fusion.fuse_conv_bn_eval(convolution, norm), nn.Identity()

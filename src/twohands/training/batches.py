@@ -20,6 +20,7 @@ from torch.utils.data import DataLoader, Dataset, Sampler
 from twohands.datasets.targets import PoseTarget, Segmentation, pose_target, segmentation_target
 from twohands.errors import InputError
 from twohands.geometry.segmentation import boxes_from_energy, letterbox, masks_from_logits, network_input
+from twohands.models.blocks import fold_batch_norm
 from twohands.models.checkpoint import load_network
 from twohands.skeleton import LEFT, RIGHT
 from twohands.training.config import TrainConfig
@@ -114,8 +115,10 @@ class Segmenter:
     """
 
     def __init__(self, checkpoint: Path) -> None:
-        self.net = load_network("hand_seg_net", checkpoint).to(memory_format=torch.channels_last).eval()  # type: ignore[call-overload]
-        self.size = (self.net.config.height, self.net.config.width_px)
+        net = load_network("hand_seg_net", checkpoint).eval()
+        self.size = (net.config.height, net.config.width_px)
+        fold_batch_norm(net)
+        self.net = net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     @torch.inference_mode()
     def __call__(self, images: Sequence[np.ndarray]) -> list[Segmentation]:
@@ -124,7 +127,8 @@ class Segmenter:
         inputs = torch.from_numpy(network_input(np.stack(canvases))).contiguous(memory_format=torch.channels_last)
         with torch.autocast("cpu", torch.bfloat16):
             logits, energies = self.net(inputs)
-        logits, energies = logits.float().numpy(), torch.sigmoid(energies.float()).numpy()
+        # Back to one plane after the other: reductions over planes of interleaved channels are slow.
+        logits, energies = (np.ascontiguousarray(m.float().numpy()) for m in (logits, torch.sigmoid(energies.float())))
         found = []
         for i, image in enumerate(images):
             boxes = boxes_from_energy(places[i].content(energies[i]), image.shape[:2])
