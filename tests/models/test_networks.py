@@ -8,7 +8,7 @@ import torch
 from torch import nn
 
 from twohands.errors import InputError
-from twohands.models.blocks import count_blocks
+from twohands.models.blocks import count_blocks, fold_batch_norm, scaled
 from twohands.models.encoder_decoder import EncoderDecoder
 from twohands.models.hand_seg_net import HandSegNet, HandSegNetConfig
 from twohands.models.pose_net_2d import PoseNet2D, PoseNet2DConfig
@@ -179,3 +179,24 @@ def test_config_from_dict_refuses_unknown_fields_and_networks():
         config_from_dict("pose_net_4d", {})
     with pytest.raises(InputError, match="HandSegNetConfig"):
         build_network("pose_net_3d", TINY_SEG)
+
+
+@pytest.mark.parametrize(
+    ("channels", "width", "expected"),
+    [(64, 1.0, 64), (64, 0.01, 8), (32, 0.7, 24), (32, 1.25, 48), (64, 1.25, 96), (192, 1.25, 256)],
+)
+def test_channels_come_in_multiples_that_matrix_units_take(channels: int, width: float, expected: int):
+    assert scaled(channels, width) == expected
+
+
+def test_folding_batch_norm_leaves_the_function_as_it_is():
+    torch.manual_seed(0)
+    net = EncoderDecoder(3, 0.25, 2)
+    for _ in range(3):
+        net(torch.randn(2, 3, 64, 64) * 2 + 1)  # statistics other than 0 and 1
+    net.eval()
+    x = torch.randn(1, 3, 64, 64)
+    before = net(x)
+    fold_batch_norm(net)
+    assert not any(isinstance(module, nn.BatchNorm2d) for module in net.modules())
+    torch.testing.assert_close(net(x), before, rtol=1e-3, atol=1e-4)

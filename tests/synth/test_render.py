@@ -108,6 +108,15 @@ def test_rendering_twice_gives_the_same_bytes(renderer, rendered):
         np.testing.assert_array_equal(getattr(frame, name), getattr(again, name))
 
 
+def test_the_first_picture_of_a_renderer_shows_the_arms():
+    """Named case: vertices were posed before any framebuffer was bound, which OpenGL refuses silently."""
+    scene = sample_scene(SynthConfig(width=96, height=54), 3, 0)
+    renderer = RasterRenderer(96, 54)
+    first, second = renderer.render(scene), renderer.render(scene)
+    assert (first.part_labels > 0).any()
+    np.testing.assert_array_equal(first.rgb, second.rgb)
+
+
 def test_the_left_arm_enters_from_the_left(rendered):
     lower_left = sum((frame.part_labels[-40:, :240] == 1).sum() for _, frame in rendered)
     lower_right = sum((frame.part_labels[-40:, 240:] == 1).sum() for _, frame in rendered)

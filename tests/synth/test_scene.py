@@ -141,6 +141,13 @@ def test_wild_cameras_stay_in_their_ranges(wild_scenes):
         assert -15 - 1e-6 <= down <= 40 + 1e-6
 
 
+def test_a_view_that_shows_no_hand_is_drawn_again():
+    """Named case: this camera, pitched up, sees nothing of the box, and the whole set stopped there."""
+    config = dataclasses.replace(WILD, width=480, height=270, pitch=(-60.0, 40.0), fov=(50.0, 60.0))
+    for index in range(12):
+        assert sample_scene(config, 2, index).present.any()
+
+
 def test_looking_down_moves_the_hands_up():
     straight = dataclasses.replace(CONFIG, min_inside=0)
     down = dataclasses.replace(straight, pitch=(20.0, 20.0))

@@ -16,6 +16,7 @@ from twohands.models.presets import build_network
 from twohands.training.batches import (
     BatchDataset,
     IndexRange,
+    Joined,
     Segmenter,
     batch_loader,
     pose_batch,
@@ -160,6 +161,16 @@ def test_split_and_ranges():
     assert len(split(SAMPLES * 8, 2)[1]) == 2
     with pytest.raises(IndexError):
         IndexRange(SAMPLES, 1, 3)[2]
+
+
+def test_joined_sources_follow_each_other():
+    joined = Joined((SAMPLES[:2], [], SAMPLES[2:]))
+    assert len(joined) == len(SAMPLES)
+    assert all(joined[i] is sample for i, sample in enumerate(SAMPLES))
+    for index in (-1, len(SAMPLES)):
+        with pytest.raises(IndexError):
+            joined[index]
+    assert len(Joined(())) == 0
 
 
 def test_an_empty_source_is_refused():
