@@ -33,6 +33,8 @@ CANONICAL_FILE: Final = "location_3d_canonical.npy"
 """(2, 22, 3) float64, (row, col, depth), root joint 0, |wrist - root| = 1, centred frame."""
 CAMERA_FILE: Final = "camera.json"
 """Ours: {"fx", "fy", "cx", "cy"} in pixels, where the camera is not the official one (`PinholeCamera.ego3dhands`)."""
+AMODAL_FILE: Final = "gt_amodal.png"
+"""Ours, where a set has it: grey, 1 where the left arm is or would be if nothing hid it, plus 2 for the right arm."""
 
 N_JOINTS_WITH_ELBOW: Final = N_JOINTS + 1
 """Every array holds (elbow, 21 hand joints) per hand."""

@@ -117,6 +117,16 @@ def test_the_first_picture_of_a_renderer_shows_the_arms():
     np.testing.assert_array_equal(first.rgb, second.rgb)
 
 
+def test_two_renderers_of_one_process_do_not_disturb_each_other(renderer, rendered):
+    """Named case: the one that was made last took all drawing."""
+    scene, before = rendered[0]
+    small = sample_scene(SynthConfig(width=96, height=54), 3, 0)
+    other = RasterRenderer(96, 54)
+    first = other.render(small)
+    np.testing.assert_array_equal(renderer.render(scene).rgb, before.rgb)
+    np.testing.assert_array_equal(other.render(small).rgb, first.rgb)
+
+
 def test_the_left_arm_enters_from_the_left(rendered):
     lower_left = sum((frame.part_labels[-40:, :240] == 1).sum() for _, frame in rendered)
     lower_right = sum((frame.part_labels[-40:, 240:] == 1).sum() for _, frame in rendered)
@@ -220,6 +230,37 @@ def test_the_other_hand_only_takes_light_away(renderer):
         assert (change > 3).any(-1).mean() < 0.01  # a few on outlines, where pixels mix both hands
         darker += (change < -4).any(-1).sum()
     assert darker > 500
+
+
+def test_things_cover_hands_but_have_no_label(renderer):
+    config = dataclasses.replace(WILD, width=480, height=270, objects=1.0)
+    covered = 0
+    for index in range(25):
+        scene = sample_scene(config, 6, index)
+        frame = renderer.render(scene)
+        bare = renderer.render(dataclasses.replace(scene, things=()))
+        taken = (bare.part_labels > 0) & (frame.part_labels == 0)
+        covered += int(taken.sum())
+        assert (frame.alpha[taken] == 255).mean() > 0.7 if taken.sum() > 50 else True
+        assert (frame.depth_m[frame.part_labels == 0] == 0).all()
+        assert (frame.alpha[frame.part_labels > 0] > 0).all()
+    assert covered > 100
+
+
+def test_amodal_masks_show_what_is_hidden(renderer):
+    config = dataclasses.replace(WILD, width=480, height=270, together=1.0, drop_rate=0.0)
+    hidden = 0
+    for index in range(8):
+        scene = sample_scene(config, 8, index)
+        frame, masks = renderer.render(scene), renderer.amodal(scene)
+        for side in (0, 1):
+            alone = renderer.render(dataclasses.replace(scene, present=np.arange(2) == side, things=()))
+            np.testing.assert_array_equal(masks[side], alone.part_labels > 0)
+            seen = (frame.part_labels > 7 * side) & (frame.part_labels <= 7 + 7 * side)
+            worn = any(1 + 7 * side <= thing.label <= 7 + 7 * side for thing in scene.things)
+            assert worn or not (seen & ~masks[side]).any()
+            hidden += int((masks[side] & ~seen).sum())
+    assert hidden > 100
 
 
 def test_sleeves_cover_the_arm_and_nothing_else(renderer):

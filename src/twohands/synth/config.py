@@ -52,6 +52,18 @@ class SynthConfig:
     """Share of people with sleeves, which end anywhere between wrist and elbow."""
     gloves: float = 0.0
     """Share of people with gloves."""
+    objects: float = 0.0
+    """Share of hands that hold an object, where the fingers leave room for one."""
+    watches: float = 0.0
+    """Share of people with a watch on a bare wrist."""
+    rings: float = 0.0
+    """Share of bare hands with a ring."""
+    background_light: float = 0.0
+    """Share of pictures whose lights take colour, brightness and direction from the background."""
+    sensor: float = 0.0
+    """Strength of a camera's faults: exposure, white balance, defocus, shake, noise, compression; 0 is ideal."""
+    amodal: bool = False
+    """Whether to write what every arm would cover if the rest were away (`gt_amodal.png`)."""
 
     def __post_init__(self) -> None:
         if self.width < 32 or self.height < 32:
@@ -80,7 +92,7 @@ class SynthConfig:
             low, high = getattr(self, name)
             if not -60 <= low <= high <= 60:
                 raise InputError(f"{name} must be an ordered pair in [-60, 60] degrees, got ({low}, {high})")
-        for name in ("together", "sleeves", "gloves"):
+        for name in ("together", "sleeves", "gloves", "objects", "watches", "rings", "background_light", "sensor"):
             if not 0 <= getattr(self, name) <= 1:
                 raise InputError(f"{name} must lie in [0, 1], got {getattr(self, name)}")
         if not 1 <= self.lights <= 4:
@@ -105,6 +117,12 @@ WILD = SynthConfig(
     together=0.35,
     sleeves=0.5,
     gloves=0.06,
+    objects=0.35,
+    watches=0.3,
+    rings=0.2,
+    background_light=0.7,
+    sensor=1.0,
+    amodal=True,
 )
 """As varied as the world: all kinds of adults, cameras, clothes; hands that meet and leave the picture."""
 

@@ -11,7 +11,6 @@ from typing import Any
 
 from twohands.ego3dhands_format import instance_name
 from twohands.synth.backgrounds import BackgroundFolder, Backgrounds, ProceduralBackgrounds
-from twohands.synth.compositing import compose_frame
 from twohands.synth.config import SynthConfig
 from twohands.synth.executors import Executor, LocalProcesses
 from twohands.synth.manifest import environment
@@ -123,5 +122,4 @@ def generate_static(
 
 def _make(stream: SyntheticStream, index: int) -> Made:
     frame = stream.frame(index)
-    image = compose_frame(frame, stream.background(index))
-    return Made(encode_instance(frame, image), tuple(stream.backgrounds.unreadable))
+    return Made(encode_instance(frame, stream.picture(index, frame)), tuple(stream.backgrounds.unreadable))

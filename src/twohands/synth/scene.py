@@ -15,6 +15,7 @@ from twohands.synth.body import BONES_PER_SIDE, Body, forward_kinematics, load_a
 from twohands.synth.collision import hand_enters_itself, hands_collide
 from twohands.synth.config import SynthConfig
 from twohands.synth.pose import ArmAnatomy, HandAngles, rotation_about, unit
+from twohands.synth.things import Thing, fabric, sample_things
 from twohands.types import PinholeCamera
 
 MAX_TRIES = 400
@@ -101,6 +102,7 @@ class SceneSpec:
         index: number of the instance.
         view: (3, 4) from the frame between the eyes (SPEC 5.1) to the camera, before scaling.
         clothes: sleeves and gloves.
+        things: what the hands hold and wear, in the frame between the eyes, before scaling.
     """
 
     camera: PinholeCamera
@@ -114,6 +116,7 @@ class SceneSpec:
     index: int
     view: np.ndarray = field(default_factory=lambda: np.eye(3, 4))
     clothes: Clothes = BARE
+    things: tuple[Thing, ...] = ()
 
     @property
     def body(self) -> Body:
@@ -219,7 +222,7 @@ def sample_lighting(config: SynthConfig, rng: np.random.Generator) -> Lighting:
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     distance = rng.uniform(0.9, 2.2, (count, 1))
     positions = direction * distance + [0.0, 0.1, 0.35]
-    warmth = rng.normal(0, 0.12)
+    warmth = rng.normal(0, 0.07)  # what a camera's white balance leaves
     tint = np.exp(np.array([warmth, 0.0, -warmth]) + rng.normal(0, 0.05, (count, 3)))
     power = rng.dirichlet(np.full(count, 1.5))[:, None] * count * distance**2
     level = np.exp(rng.normal(0, 0.3))
@@ -276,10 +279,6 @@ def sample_clothes(config: SynthConfig, rng: np.random.Generator) -> Clothes:
     if not (has_sleeves or has_gloves):
         return BARE
 
-    def fabric() -> np.ndarray:
-        grey = rng.beta(0.8, 1.2)
-        return np.clip((grey + rng.normal(0, 0.22, 3) * rng.beta(1, 2)) * 0.85, 0.01, 0.85)
-
     striped = rng.random() < 0.3
     pattern = np.array(
         [rng.uniform(0.2, 0.8) * striped, np.exp(rng.uniform(*np.log([0.003, 0.03]))), rng.uniform(0, 3)]
@@ -287,8 +286,8 @@ def sample_clothes(config: SynthConfig, rng: np.random.Generator) -> Clothes:
     return Clothes(
         rng.uniform(0.02, 0.95) if has_sleeves else np.inf,
         rng.uniform(0.0, 0.25) if has_gloves else -np.inf,
-        fabric(),
-        fabric(),
+        fabric(rng),
+        fabric(rng),
         pattern,
         rng.uniform(0.0008, 0.006),
     )
@@ -340,6 +339,8 @@ def sample_scene(config: SynthConfig, seed: int, index: int) -> SceneSpec:
     scale = 1.0 if config.hand_length is None else config.hand_length / body.hand_length_m
     joints_m = np.where(present[:, None, None], moved(view, joints) * scale, np.nan)
     lighting = sample_lighting(config, rng)
+    skin, clothes = sample_skin(config, rng), sample_clothes(config, rng)
+    bare = clothes.glove_until, clothes.sleeve_from
     return SceneSpec(
         camera,
         shape,
@@ -347,11 +348,12 @@ def sample_scene(config: SynthConfig, seed: int, index: int) -> SceneSpec:
         scale,
         joints_m,
         present,
-        sample_skin(config, rng),
+        skin,
         dataclasses.replace(lighting, positions=moved(view, lighting.positions)),
         index,
         view,
-        sample_clothes(config, rng),
+        clothes,
+        sample_things(config, body, transforms, joints, present, bare, rng),
     )
 
 

@@ -22,6 +22,7 @@ from twohands.synth.body import BONES_PER_SIDE, Body, forward_kinematics, load_a
 from twohands.synth.clips import Clip, ClipAssignment, ClipSource, assign_clips, open_clip
 from twohands.synth.compositing import compose_frame
 from twohands.synth.config import SynthConfig
+from twohands.synth.lighting import lit_by
 from twohands.synth.manifest import environment
 from twohands.synth.motion import Arm, HandMotion, MotionConfig, in_picture, plan_motion
 from twohands.synth.pose import ArmAnatomy
@@ -38,10 +39,13 @@ from twohands.synth.scene import (
     viewed,
 )
 from twohands.synth.seeds import Split, stream_seed
+from twohands.synth.sensor import expose, sample_sensor
+from twohands.synth.things import sample_things
 from twohands.synth.writer import encode_instance
 from twohands.types import RenderedFrame
 
-_MOTION_STREAM, _LOOK_STREAM, _CLIP_STREAM = 1 << 42, 1 << 43, 1 << 45
+_MOTION_STREAM, _LOOK_STREAM, _THINGS_STREAM, _CLIP_STREAM = 1 << 42, 1 << 43, 1 << 44, 1 << 45
+_CAMERA_STREAM, _NOISE_STREAM = 1 << 46, 1 << 47
 """Offsets of the seeds of a sequence's parts, apart from each other and from those of single instances."""
 BYTES_PER_PIXEL = 1.4
 """All files of a frame together, on the average."""
@@ -145,6 +149,11 @@ class Sequence:
         self.clothes = sample_clothes(config, rng)
         self.camera, self.view = sample_camera(config, rng)
         self.lighting = replace(self.lighting, positions=moved(self.view, self.lighting.positions))
+        self._bare = self.clothes.glove_until, self.clothes.sleeve_from
+        self._worn = replace(config, objects=0.0)  # what a moving hand would have to grasp and let go
+        rng = _rng(sequence_set.scene_seed, _CAMERA_STREAM, index)
+        self.takes_background_light = bool(rng.random() < config.background_light)
+        self.sensor = sample_sensor(config.sensor, rng)
         body = load_asset().body(self.shape)
         self.scale = 1.0 if config.hand_length is None else config.hand_length / body.hand_length_m
         self._body = body
@@ -202,7 +211,11 @@ class Sequence:
             index=frame,
             view=self.view,
             clothes=self.clothes,
+            things=sample_things(self._worn, self._body, transforms, joints, present, self._bare, self._things_rng()),
         )
+
+    def _things_rng(self) -> np.random.Generator:
+        return _rng(self.set.scene_seed, _THINGS_STREAM, self.index)
 
     def clip(self, source: ClipSource) -> Clip:
         """The background in motion.
@@ -237,8 +250,14 @@ class SequenceRenderer:
     def frame(self, sequence: int, frame: int) -> tuple[RenderedFrame, np.ndarray]:
         """The hands, and (H, W, 3) uint8 the picture with its background."""
         planned, clip = self._opened(sequence)
-        rendered = self.renderer.render(planned.scene(frame))
-        return rendered, compose_frame(rendered, clip.frame(frame))
+        scene, config = planned.scene(frame), self.set.config
+        if planned.takes_background_light:
+            scene = replace(scene, lighting=lit_by(scene.lighting, clip.frame(0), scene.camera))
+        rendered = self.renderer.render(scene)
+        if config.amodal:
+            rendered = replace(rendered, amodal=self.renderer.amodal(scene))
+        noise = _rng(self.set.scene_seed, _NOISE_STREAM + frame, sequence)
+        return rendered, expose(compose_frame(rendered, clip.frame(frame)), planned.sensor, noise)
 
 
 def _rng(seed: int, stream: int, index: int) -> np.random.Generator:

@@ -11,12 +11,14 @@ from twohands.geometry.camera import project
 from twohands.synth.backgrounds import Backgrounds, ProceduralBackgrounds
 from twohands.synth.compositing import compose_frame
 from twohands.synth.config import SynthConfig
+from twohands.synth.lighting import lit_by
 from twohands.synth.render.raster import RasterRenderer
 from twohands.synth.scene import instance_rng, sample_scene
+from twohands.synth.sensor import expose, sample_sensor
 from twohands.types import HandSample, RenderedFrame
 
-_BACKGROUND_STREAM = 1 << 40
-"""Offset of the seeds that draw backgrounds, so that they are independent of the scenes' own."""
+_BACKGROUND_STREAM, _LIGHT_STREAM, _SENSOR_STREAM = 1 << 40, 1 << 42, 1 << 43
+"""Offsets of the seeds that draw backgrounds, light and camera, so that they are independent of the scenes' own."""
 
 
 class SyntheticStream:
@@ -52,17 +54,26 @@ class SyntheticStream:
         """Instance `index` before compositing."""
         if not 0 <= index < self.size:
             raise IndexError(f"instance {index} of {self.size}")
-        return self.renderer.render(sample_scene(self.config, self.seed, index))
+        scene = sample_scene(self.config, self.seed, index)
+        if instance_rng(self.seed, _LIGHT_STREAM + index).random() < self.config.background_light:
+            scene = replace(scene, lighting=lit_by(scene.lighting, self.background(index), scene.camera))
+        frame = self.renderer.render(scene)
+        return replace(frame, amodal=self.renderer.amodal(scene)) if self.config.amodal else frame
 
     def background(self, index: int) -> np.ndarray:
         """(H, W, 3) uint8 background of instance `index`."""
         rng = instance_rng(self.seed, _BACKGROUND_STREAM + index)
         return self.backgrounds.sample(rng, self.config.width, self.config.height)
 
+    def picture(self, index: int, frame: RenderedFrame) -> np.ndarray:
+        """(H, W, 3) uint8, the frame of instance `index` on its background, as its camera takes it."""
+        rng = instance_rng(self.seed, _SENSOR_STREAM + index)
+        sensor = sample_sensor(self.config.sensor, rng)
+        return expose(compose_frame(frame, self.background(index)), sensor, rng)
+
     def __getitem__(self, index: int) -> HandSample:
         frame = self.frame(index)
-        sample = hand_sample(frame, f"{self.name} #{index}")
-        return replace(sample, image=compose_frame(frame, self.background(index)))
+        return replace(hand_sample(frame, f"{self.name} #{index}"), image=self.picture(index, frame))
 
 
 def labelled(joints_m: np.ndarray, present: np.ndarray) -> np.ndarray:

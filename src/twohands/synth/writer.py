@@ -25,13 +25,17 @@ def encode_instance(frame: RenderedFrame, image: np.ndarray) -> dict[str, bytes]
         image: (H, W, 3) uint8 RGB, the hands on a background.
 
     Returns:
-        File name -> contents: all seven files of the layout, and `camera.json` if the camera is not the official one.
+        File name -> contents: all seven files of the layout, `camera.json` if the camera is not the official one, and
+        `gt_amodal.png` if the frame has amodal masks.
     """
     height, width = frame.part_labels.shape
     camera = frame.camera
     files = {} if camera == PinholeCamera.ego3dhands(width, height) else {layout.CAMERA_FILE: _camera(camera)}
+    if frame.amodal is not None:
+        files[layout.AMODAL_FILE] = _png(frame.amodal[0] + np.uint8(2) * frame.amodal[1])
+    hands = (frame.part_labels > 0).astype(np.uint8)[..., None]  # things are no part of this file
     return files | {
-        layout.COLOR_FILE: _png(np.dstack([frame.rgb[..., ::-1], frame.alpha])),
+        layout.COLOR_FILE: _png(np.dstack([frame.rgb[..., ::-1], frame.alpha]) * hands),
         layout.IMAGE_FILE: _png(image[..., ::-1]),
         layout.LABELS_FILE: _png(layout.encode_labels(frame.part_labels)),
         layout.DEPTH_FILE: _png(layout.encode_depth(frame.depth_m)[..., ::-1]),

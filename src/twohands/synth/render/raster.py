@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from twohands.errors import MissingExtraError, RendererError
+from twohands.skeleton import N_PART_LABELS
 from twohands.synth.body import BONE_NAMES, load_asset
 from twohands.synth.collision import capsules
 from twohands.synth.render.shaders import (
@@ -23,9 +24,11 @@ from twohands.synth.render.shaders import (
     MAX_LIGHTS,
     POSE_VERTEX,
     POSED,
+    THING_FRAGMENT,
+    THING_VERTEX,
 )
 from twohands.synth.render.surface import surface, vertex_normals
-from twohands.synth.scene import SceneSpec
+from twohands.synth.scene import SceneSpec, moved
 from twohands.types import PinholeCamera, RenderedFrame
 
 NEAR_M, FAR_M = 0.01, 4.0
@@ -117,6 +120,15 @@ class RasterRenderer:
             index_buffer,
         )
 
+        self._thing_rows, self._thing_faces = ctx.buffer(reserve=44), ctx.buffer(reserve=12)
+        self._thing = ctx.program(vertex_shader=THING_VERTEX, fragment_shader=THING_FRAGMENT)
+        self._thing_label = ctx.program(vertex_shader=THING_VERTEX, fragment_shader=LABEL_FRAGMENT)
+        row = (self._thing_rows, "3f 3f 3f 1f 1f", "position", "normal", "albedo", "roughness", "part")
+        self._thing_arrays = [
+            ctx.vertex_array(program, [row], self._thing_faces, skip_errors=True)
+            for program in (self._thing, self._thing_label)
+        ]
+
         size = (width, height)
         samples = min(samples, ctx.max_samples)
         self._multisampled = ctx.framebuffer(
@@ -136,24 +148,34 @@ class RasterRenderer:
             scene: its camera must have this renderer's image size.
 
         Returns:
-            Colour, alpha, labels and depth; a pixel has a label exactly where it has depth and alpha (SPEC 1.1).
+            Colour, alpha, labels and depth; a pixel has a label exactly where it has depth and alpha (SPEC 1.1), but
+            for things that are no part of a hand.
         """
         if (scene.camera.width, scene.camera.height) != (self.width, self.height):
             raise ValueError(f"scene is {scene.camera.width}x{scene.camera.height}, not {self.width}x{self.height}")
+        with self.ctx:  # other renderers of this process have contexts of their own
+            return self._render(scene)
+
+    def _render(self, scene: SceneSpec) -> RenderedFrame:
         self._upload_shape(scene)
         projection = _projection(scene.camera)
         self._pose["bones"].write(_palette(scene))
-        for program in (self._colour, self._label):
+        for program in (self._colour, self._label, self._thing, self._thing_label):
             program["projection"].write(projection)
         self._write_look(scene)
+        corners = self._write_things(scene)
         self._write_occluders(scene)
         self._labelled.use()  # before the vertices: without a complete framebuffer OpenGL draws nothing
         self._rest_array.transform(self._posed)
         self.ctx.clear(0.0, 0.0, 0.0, 0.0)
         self._draw(self._label_array, scene.present)
+        if corners:
+            self._thing_arrays[1].render(vertices=corners)
         self._multisampled.use()
         self.ctx.clear(0.0, 0.0, 0.0, 0.0)
         self._draw(self._colour_array, scene.present)
+        if corners:
+            self._thing_arrays[0].render(vertices=corners)
         self.ctx.copy_framebuffer(self._resolved, self._multisampled)
 
         shape = (self.height, self.width)
@@ -161,6 +183,22 @@ class RasterRenderer:
         depth = np.frombuffer(self._labelled.read(components=1, attachment=1, dtype="f4"), np.float32).reshape(shape)
         colour = np.frombuffer(self._resolved.read(components=4), np.uint8).reshape(*shape, 4)
         return _frame(colour, labels, depth, scene)
+
+    def amodal(self, scene: SceneSpec) -> np.ndarray:
+        """Amodal masks of a scene that was just rendered.
+
+        Returns:
+            (2, H, W) bool, the pixels that each arm covers when it is drawn alone.
+        """
+        masks = np.zeros((2, self.height, self.width), bool)
+        with self.ctx:
+            self._labelled.use()
+            for side in np.flatnonzero(scene.present):
+                self.ctx.clear(0.0, 0.0, 0.0, 0.0)
+                self._draw(self._label_array, np.arange(2) == side)
+                labels = np.frombuffer(self._labelled.read(components=1, alignment=1), np.uint8)
+                masks[side] = labels.reshape(self.height, self.width) > 0
+        return masks
 
     def _draw(self, array: Any, present: np.ndarray) -> None:
         bounds = (*self._first_face, self._face_count)
@@ -182,19 +220,21 @@ class RasterRenderer:
         positions, colours = np.zeros((MAX_LIGHTS, 3)), np.zeros((MAX_LIGHTS, 3))
         positions[: len(light.positions)] = light.positions
         colours[: len(light.colours)] = light.colours
-        for program in (self._colour, self._pose):
+        for program in (self._colour, self._pose, self._thing):
             # Lights stand in the body's metres, so that scaling the world leaves the picture as it is.
             program["light_position"].write((positions * scene.scale).astype("f4").tobytes())
             program["light_colour"].write((colours * scene.scale**2).astype("f4").tobytes())
             program["light_count"].value = len(light.positions)
+        for program in (self._pose, self._thing):
+            program["sky"].value = tuple(light.sky)
+            program["ground"].value = tuple(light.ground)
+        for program in (self._colour, self._pose):
             program["sleeve_from"].value = min(clothes.sleeve_from, NOWHERE)
             program["glove_until"].value = max(clothes.glove_until, -NOWHERE)
             program["sleeve_albedo"].value = tuple(clothes.sleeve_albedo)
             program["albedo"].value = tuple(skin.albedo)
             program["noise_offset"].value = tuple(skin.seed)
         self._pose["thickness"].value = clothes.thickness_m
-        self._pose["sky"].value = tuple(light.sky)
-        self._pose["ground"].value = tuple(light.ground)
         colour = self._colour
         colour["palm_albedo"].value = tuple(skin.palm_albedo)
         colour["nail_albedo"].value = tuple(skin.nail_albedo)
@@ -202,6 +242,25 @@ class RasterRenderer:
         colour["pattern"].value = tuple(clothes.pattern)
         colour["roughness"].value = skin.roughness
         colour["mottle"].value = skin.mottle
+
+    def _write_things(self, scene: SceneSpec) -> int:
+        """Uploads the things; returns the number of their triangles' corners."""
+        if not scene.things:
+            return 0
+        rows, faces, first = [], [], 0
+        for thing in scene.things:
+            striped = thing.stripes * thing.pattern_at % 1.0 < 0.5
+            albedo = np.where(striped[:, None] & (thing.stripes > 0), thing.second, thing.albedo)
+            look = np.broadcast_to([thing.roughness, thing.label], (len(striped), 2))
+            position = moved(scene.view, thing.vertices) * scene.scale
+            rows.append(np.concatenate([position, thing.normals @ scene.view[:, :3].T, albedo, look], axis=1))
+            faces.append(thing.faces + first)
+            first += len(striped)
+        for buffer, parts, kind in ((self._thing_rows, rows, np.float32), (self._thing_faces, faces, np.int32)):
+            data = np.concatenate(parts).astype(kind).tobytes()
+            buffer.orphan(len(data))
+            buffer.write(data)
+        return 3 * sum(map(len, faces))
 
     def _write_occluders(self, scene: SceneSpec) -> None:
         starts, ends, radii = capsules(scene.body, scene.joints_m[scene.present])
@@ -249,6 +308,8 @@ def _projection(camera: PinholeCamera) -> bytes:
 def _frame(colour: np.ndarray, labels: np.ndarray, depth: np.ndarray, scene: SceneSpec) -> RenderedFrame:
     """A RenderedFrame with one common mask, from planes that were cleared to zero and premultiplied colour."""
     mask = np.minimum(labels, 1)
+    hands = cv2.inRange(labels, 1, N_PART_LABELS - 1)
+    labels, depth = cv2.copyTo(labels, hands), cv2.copyTo(depth, hands)
     rgba = cv2.copyTo(colour, mask)
     rgb, alpha = cv2.cvtColor(rgba, cv2.COLOR_RGBA2RGB), np.maximum(cv2.extractChannel(rgba, 3), mask)
     # Where some samples missed the hand, the resolved colour is darkened by the empty ones.

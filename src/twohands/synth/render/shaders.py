@@ -29,6 +29,23 @@ float noise(vec3 x) {
 }
 """
 
+_TONE: Final = """
+vec4 tone(vec3 lit) {  // to sRGB by roots, which cost less than powers
+    vec3 x = clamp(lit / (1.0 + 0.25 * lit), 0.0, 1.0);
+    vec3 a = sqrt(x), b = sqrt(a), c = sqrt(b);
+    return vec4(0.662002687 * a + 0.684122060 * b - 0.323583601 * c - 0.022541147 * x, 1.0);
+}
+
+// Highlight: Blinn-Phong's lobe, its power replaced by the Gaussian that it tends to.
+float shine(vec3 n, vec3 l, vec3 v, float roughness) {
+    float exponent = 2.0 / (roughness * roughness * roughness * roughness);
+    vec3 h = normalize(l + v);
+    float lobe = exp2(1.442695 * exponent * (max(dot(n, h), 0.0) - 1.0)) * (exponent + 8.0) / 26.0;
+    float graze = 1.0 - max(dot(h, v), 0.0);
+    return lobe * (0.028 + 0.5 * graze * graze * graze * graze * graze) * max(dot(n, l), 0.0);
+}
+"""
+
 POSE_VERTEX: Final = f"""
 #version 330
 uniform vec4 bones[{3 * (len(BONE_NAMES) + 1)}];  // three rows of every transform, the resting torso last
@@ -179,6 +196,59 @@ void main() {
 }
 """
 
+THING_VERTEX: Final = """
+#version 330
+uniform mat4 projection;
+in vec3 position;
+in vec3 normal;
+in vec3 albedo;
+in float roughness, part;
+out vec3 point;
+out vec3 facing;
+out vec3 base;
+out float gloss;
+flat out float label;
+out float depth;
+
+void main() {
+    point = position;
+    facing = normal;
+    base = albedo;
+    gloss = roughness;
+    label = part;
+    depth = position.z;
+    gl_Position = projection * vec4(position, 1.0);
+}
+"""
+
+THING_FRAGMENT: Final = f"""
+#version 330
+uniform vec3 light_position[{MAX_LIGHTS}];
+uniform vec3 light_colour[{MAX_LIGHTS}];
+uniform int light_count;
+uniform vec3 sky, ground;
+in vec3 point;
+in vec3 facing;
+in vec3 base;
+in float gloss;
+out vec4 colour;
+
+{_TONE}
+
+void main() {{
+    vec3 n = normalize(facing);
+    vec3 v = normalize(-point);
+    vec3 lit = base * mix(ground, sky, 0.5 - 0.5 * n.y);
+    for (int i = 0; i < light_count; ++i) {{
+        vec3 to_light = light_position[i] - point;
+        float d2 = dot(to_light, to_light);
+        vec3 l = to_light * inversesqrt(d2);
+        lit += light_colour[i] / d2 * (base * max(dot(n, l), 0.0) + shine(n, l, v, gloss));
+    }}
+    colour = tone(lit);
+}}
+"""
+
 COLOUR_FRAGMENT: Final = f"""
 #version 330
 uniform vec3 light_position[{MAX_LIGHTS}];
@@ -199,11 +269,7 @@ in float blotch;
 out vec4 colour;
 
 {_NOISE}
-
-vec3 srgb(vec3 x) {{  // by roots, which cost less than powers
-    vec3 a = sqrt(x), b = sqrt(a), c = sqrt(b);
-    return 0.662002687 * a + 0.684122060 * b - 0.323583601 * c - 0.022541147 * x;
-}}
+{_TONE}
 
 void main() {{
     vec3 n = normalize(facing);
@@ -232,18 +298,11 @@ void main() {{
         gloss = 0.85;
     }}
     vec3 lit = base * received;
-    float exponent = 2.0 / (gloss * gloss * gloss * gloss);
     for (int i = 0; i < light_count; ++i) {{
         vec3 to_light = light_position[i] - point;
         float d2 = dot(to_light, to_light);
-        vec3 l = to_light * inversesqrt(d2);
-        vec3 h = normalize(l + v);
-        // Blinn-Phong's lobe, its power replaced by the Gaussian that it tends to.
-        float shine = exp2(1.442695 * exponent * (max(dot(n, h), 0.0) - 1.0)) * (exponent + 8.0) / 26.0;
-        float graze = 1.0 - max(dot(h, v), 0.0);
-        float fresnel = 0.028 + 0.5 * graze * graze * graze * graze * graze;
-        lit += reached[i] / d2 * light_colour[i] * shine * fresnel * max(dot(n, l), 0.0);
+        lit += reached[i] / d2 * light_colour[i] * shine(n, to_light * inversesqrt(d2), v, gloss);
     }}
-    colour = vec4(srgb(clamp(lit / (1.0 + 0.25 * lit), 0.0, 1.0)), 1.0);
+    colour = tone(lit);
 }}
 """
