@@ -39,7 +39,7 @@ def one_line(capsys: pytest.CaptureFixture[str]) -> str:
         (["--config.box-max", "0.1", "nan", "0.5"], "hand box is empty"),
         (["--config.skin-tones", "0.8", "0.2"], "skin_tones must be an ordered pair"),
         (["--config.hand-length", 9], "hand_length must lie in"),
-        (["--config.lights", 0], "lights must be 1 to 8"),
+        (["--config.lights", 0], "lights must be 1 to 4"),
         (["--format", "webdataset", "--shard-size", 0], "shard size must be at least 1"),
         (["--backgrounds", "/nowhere"], "background folder /nowhere does not exist"),
     ],

@@ -10,7 +10,16 @@ from twohands.geometry.camera import project
 from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
 from twohands.synth.collision import segment_distance
 from twohands.synth.config import WILD, SynthConfig
-from twohands.synth.scene import BARE, inside_image, sample_lighting, sample_scene, sample_skin
+from twohands.synth.scene import (
+    BARE,
+    inside_image,
+    looking_from,
+    sample_lighting,
+    sample_scene,
+    sample_skin,
+    sees_the_person,
+)
+from twohands.synth.things import NO_LABEL
 
 CONFIG = SynthConfig(width=480, height=270)
 
@@ -119,7 +128,7 @@ def test_segment_distance_by_hand():
         assert segment_distance(a0, a1, np.array([b0], float), np.array([b1], float))[0] == pytest.approx(expected)
 
 
-WILD_CONFIG = dataclasses.replace(WILD, width=480, height=270)
+WILD_CONFIG = dataclasses.replace(WILD, width=480, height=270, webcam=0.0, free_view=0.0)
 
 
 @pytest.fixture(scope="module")
@@ -139,6 +148,29 @@ def test_wild_cameras_stay_in_their_ranges(wild_scenes):
         assert np.abs(place).max() <= 0.06
         down = np.degrees(np.arcsin(rotation[2, 1]))  # how far the optical axis points below the horizon
         assert -15 - 1e-6 <= down <= 40 + 1e-6
+
+
+def test_looking_from_points_the_axis_at_the_target_with_the_horizon_level():
+    rotation = looking_from(np.array([0.2, -0.1, 0.9]), np.array([0.0, 0.1, 0.3]))
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(rotation) == pytest.approx(1)
+    x, y, z = rotation @ (np.array([0.0, 0.1, 0.3]) - np.array([0.2, -0.1, 0.9]))
+    assert (x, y) == (pytest.approx(0), pytest.approx(0)) and z > 0
+    assert rotation[0, 1] == pytest.approx(0) and rotation[1, 1] > 0
+    np.testing.assert_allclose(looking_from(np.zeros(3), np.array([0.0, 0.0, 1.0])), np.eye(3), atol=1e-12)
+
+
+def test_a_webcam_sees_the_person_from_in_front_with_the_left_hand_mostly_to_the_right():
+    config = dataclasses.replace(WILD, width=480, height=270, webcam=1.0, free_view=0.0, together=0.0, drop_rate=0.0)
+    leftness = []
+    for index in range(20):
+        scene = sample_scene(config, 4, index)
+        place = -scene.view[:, :3].T @ scene.view[:, 3]
+        assert 0.5 < place[2] < 1.0 and sees_the_person(scene.view)
+        assert sum(thing.label == NO_LABEL for thing in scene.things) >= 4
+        assert (scene.joints_m[:, 1:, 2] > 0.02).all()
+        leftness.append(scene.joints_m[0, 1 + ROOT, 0] > scene.joints_m[1, 1 + ROOT, 0])
+    assert np.mean(leftness) > 0.6
 
 
 def test_a_view_that_shows_no_hand_is_drawn_again():

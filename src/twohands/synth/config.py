@@ -6,6 +6,12 @@ from dataclasses import dataclass
 
 from twohands.errors import InputError
 
+SHARES = (
+    *("together", "sleeves", "gloves", "objects", "watches", "rings"),
+    *("background_light", "sensor", "webcam", "free_view"),
+)
+"""Settings of `SynthConfig` between 0 and 1."""
+
 
 @dataclass(frozen=True)
 class SynthConfig:
@@ -46,6 +52,10 @@ class SynthConfig:
     """Range of the camera's roll; positive turns the picture counter-clockwise."""
     camera_shift: float = 0.0
     """Largest distance of the camera from the point between the eyes, per axis."""
+    webcam: float = 0.0
+    """Share of pictures taken from in front of the person, as by a webcam; `roll` holds, `pitch` does not."""
+    free_view: float = 0.0
+    """Share of pictures taken from anywhere around the hands."""
     together: float = 0.0
     """Share of two-hand pictures with the hands close to each other: crossing, touching, one hiding the other."""
     sleeves: float = 0.0
@@ -92,9 +102,11 @@ class SynthConfig:
             low, high = getattr(self, name)
             if not -60 <= low <= high <= 60:
                 raise InputError(f"{name} must be an ordered pair in [-60, 60] degrees, got ({low}, {high})")
-        for name in ("together", "sleeves", "gloves", "objects", "watches", "rings", "background_light", "sensor"):
+        for name in SHARES:
             if not 0 <= getattr(self, name) <= 1:
                 raise InputError(f"{name} must lie in [0, 1], got {getattr(self, name)}")
+        if self.webcam + self.free_view > 1:
+            raise InputError(f"webcam and free_view must not exceed 1 together, got {self.webcam} and {self.free_view}")
         if not 1 <= self.lights <= 4:
             raise InputError(f"lights must be 1 to 4, got {self.lights}")
 
@@ -114,6 +126,8 @@ WILD = SynthConfig(
     pitch=(-15.0, 40.0),
     roll=(-12.0, 12.0),
     camera_shift=0.06,
+    webcam=0.15,
+    free_view=0.05,
     together=0.35,
     sleeves=0.5,
     gloves=0.06,

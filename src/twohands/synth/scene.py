@@ -15,7 +15,7 @@ from twohands.synth.body import BONES_PER_SIDE, Body, forward_kinematics, load_a
 from twohands.synth.collision import hand_enters_itself, hands_collide
 from twohands.synth.config import SynthConfig
 from twohands.synth.pose import ArmAnatomy, HandAngles, rotation_about, unit
-from twohands.synth.things import Thing, fabric, sample_things
+from twohands.synth.things import Thing, fabric, sample_person, sample_things
 from twohands.types import PinholeCamera
 
 MAX_TRIES = 400
@@ -258,9 +258,32 @@ def sample_camera(config: SynthConfig, rng: np.random.Generator) -> tuple[Pinhol
         shift = rng.uniform(-config.principal_shift, config.principal_shift, 2) * [config.width, config.height]
         camera = dataclasses.replace(camera, cx=camera.cx + shift[0], cy=camera.cy + shift[1])
     pitch, roll = np.radians(rng.uniform(*config.pitch)), np.radians(rng.uniform(*config.roll))
-    rotation = rotation_about(np.array([0.0, 0.0, 1.0]), roll) @ rotation_about(np.array([1.0, 0.0, 0.0]), pitch)
     place = rng.uniform(-config.camera_shift, config.camera_shift, 3)
+    kind = rng.random()
+    if kind < config.webcam:  # on a screen or a shelf across the table
+        place = rng.uniform([-0.2, -0.1, 0.55], [0.2, 0.4, 0.95])
+        aim = looking_from(place, HANDS_CENTRE + rng.normal(0, 0.05, 3))
+    elif kind < config.webcam + config.free_view:
+        azimuth, height = rng.uniform(-np.pi, np.pi), rng.uniform(-0.9, 0.5)
+        direction = np.array([np.sin(azimuth) * np.cos(height), np.sin(height), np.cos(azimuth) * np.cos(height)])
+        place = HANDS_CENTRE + direction * rng.uniform(0.45, 1.0)
+        aim = looking_from(place, HANDS_CENTRE + rng.normal(0, 0.05, 3))
+    else:
+        aim = rotation_about(np.array([1.0, 0.0, 0.0]), pitch)
+    rotation = rotation_about(np.array([0.0, 0.0, 1.0]), roll) @ aim
     return camera, np.concatenate([rotation, -(rotation @ place)[:, None]], axis=1)
+
+
+def looking_from(place: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """(3, 3) rotation into the frame of an upright camera at `place` (3,) that looks at `target` (3,)."""
+    forward = unit(target - place)
+    right = unit(np.cross([0.0, 1.0, 0.0], forward))
+    return np.stack([right, np.cross(forward, right), forward])
+
+
+def sees_the_person(view: np.ndarray) -> bool:
+    """Whether the head and body are, or may be, in front of a camera with the view (3, 4)."""
+    return bool(moved(view, np.array([[0.0, 0.0, -0.09], [0.0, 0.35, -0.1]]))[:, 2].max() > 0.1)
 
 
 def moved(view: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -341,6 +364,9 @@ def sample_scene(config: SynthConfig, seed: int, index: int) -> SceneSpec:
     lighting = sample_lighting(config, rng)
     skin, clothes = sample_skin(config, rng), sample_clothes(config, rng)
     bare = clothes.glove_until, clothes.sleeve_from
+    things = sample_things(config, body, transforms, joints, present, bare, rng)
+    if sees_the_person(view):
+        things += sample_person(body, skin.albedo, clothes.sleeve_albedo, rng)
     return SceneSpec(
         camera,
         shape,
@@ -353,10 +379,12 @@ def sample_scene(config: SynthConfig, seed: int, index: int) -> SceneSpec:
         index,
         view,
         clothes,
-        sample_things(config, body, transforms, joints, present, bare, rng),
+        things,
     )
 
 
+HANDS_CENTRE = np.array([0.0, 0.05, 0.32])
+"""Where cameras that are not on the head look: the middle of the hand boxes, metres, frame between the eyes."""
 NEAR_PARTNER_M = 0.11
 """Spread (standard deviation per axis) of the distance between two roots that are together."""
 

@@ -36,11 +36,12 @@ from twohands.synth.scene import (
     sample_lighting,
     sample_shape,
     sample_skin,
+    sees_the_person,
     viewed,
 )
 from twohands.synth.seeds import Split, stream_seed
 from twohands.synth.sensor import expose, sample_sensor
-from twohands.synth.things import sample_things
+from twohands.synth.things import Thing, sample_person, sample_things
 from twohands.synth.writer import encode_instance
 from twohands.types import RenderedFrame
 
@@ -211,11 +212,16 @@ class Sequence:
             index=frame,
             view=self.view,
             clothes=self.clothes,
-            things=sample_things(self._worn, self._body, transforms, joints, present, self._bare, self._things_rng()),
+            things=self._things(transforms, joints, present),
         )
 
-    def _things_rng(self) -> np.random.Generator:
-        return _rng(self.set.scene_seed, _THINGS_STREAM, self.index)
+    def _things(self, transforms: np.ndarray, joints: np.ndarray, present: np.ndarray) -> tuple[Thing, ...]:
+        """The same draws in every frame."""
+        rng = _rng(self.set.scene_seed, _THINGS_STREAM, self.index)
+        things = sample_things(self._worn, self._body, transforms, joints, present, self._bare, rng)
+        if sees_the_person(self.view):
+            things += sample_person(self._body, self.skin.albedo, self.clothes.sleeve_albedo, rng)
+        return things
 
     def clip(self, source: ClipSource) -> Clip:
         """The background in motion.

@@ -175,6 +175,36 @@ def sample_things(
     return tuple(things)
 
 
+def sample_person(
+    body: Body, skin_albedo: np.ndarray, cloth_albedo: np.ndarray, rng: np.random.Generator
+) -> tuple[Thing, ...]:
+    """What a camera that is not on the head sees of the person beside the arms: trunk, neck, head and hair, as solids.
+
+    Args:
+        body: the person.
+        skin_albedo, cloth_albedo: (3,) linear RGB; cloth without a colour gets one.
+        rng: the only source of randomness.
+    """
+    left, right = (body.heads[bone("upperarm01", side)] for side in (LEFT, RIGHT))
+    shoulders, across = (left + right) / 2, np.abs(left - right)[0] / 2
+    cloth = cloth_albedo if cloth_albedo.any() else fabric(rng)
+    hair = np.array([0.25, 0.16, 0.09]) * rng.uniform(0.05, 1.8) * rng.uniform([0.8, 0.8, 0.6], [1.1, 1.1, 1.2])
+    depth = rng.uniform(0.10, 0.15)
+    solids = (
+        (shoulders + np.array([0.0, 0.37, -0.02]), [depth, across + 0.035, 0.43], (0.75, 0.4), cloth, 0.85),
+        (shoulders + np.array([0.0, -0.06, 0.0]), [0.055, 0.058, 0.12], (1.0, 0.4), skin_albedo, 0.5),
+        (np.array([0.0, 0.02, -0.09]), [0.098, 0.078, 0.118], (0.95, 0.95), skin_albedo, 0.5),
+        (np.array([0.0, -0.02, -0.115]), [0.1, 0.088, 0.108], (1.0, 1.0), hair, 0.6),
+    )
+    upright = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])  # columns: forwards, sideways, down
+    things = []
+    for centre, half, exponents, albedo, roughness in solids:
+        vertices, normals, faces, place = superquadric(np.array(half), *exponents)
+        mesh = vertices @ upright.T + centre, normals @ upright.T, faces, place
+        things.append(_thing(mesh, albedo, albedo * 0.8, 0.0, roughness, NO_LABEL))
+    return tuple(things)
+
+
 def _skin_points(body: Body, transforms: np.ndarray, chosen: np.ndarray) -> np.ndarray:
     """(N, 3) posed places of the vertices `chosen` (N,)."""
     asset = body.asset
