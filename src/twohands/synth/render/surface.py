@@ -73,7 +73,7 @@ def surface() -> Surface:
         for finger in range(5):
             last = joints[4 + 4 * finger]
             tip = joints[5 + 4 * finger]
-            bend = anatomy.thumb[2] if finger == 0 else anatomy.fingers[finger - 1][0]
+            bend = anatomy.thumb[2] if finger == 0 else anatomy.finger_axes[finger - 1]
             axis = unit(tip - last)
             across = unit(bend - axis * (bend @ axis))
             dorsal = np.cross(axis, across)
