@@ -52,16 +52,15 @@ BONE_PARENTS: Final = tuple(
 )
 
 
+_PARENTS: Final = np.array(BONE_PARENTS[:BONES_PER_SIDE])
+
+
 def _levels() -> tuple[tuple[np.ndarray, np.ndarray], ...]:
     """(bones, their parents) of one arm at every depth of the tree below the shoulder, nearest first."""
-    depth = [0] * BONES_PER_SIDE
-    for index, parent in enumerate(BONE_PARENTS[:BONES_PER_SIDE]):
-        depth[index] = depth[parent] + 1 if parent >= 0 else 0
-    levels = []
-    for level in range(1, max(depth) + 1):
-        bones = np.array([i for i, d in enumerate(depth) if d == level])
-        levels.append((bones, np.array(BONE_PARENTS)[bones]))
-    return tuple(levels)
+    depth = np.zeros(BONES_PER_SIDE, int)
+    for index, parent in enumerate(_PARENTS[1:], start=1):
+        depth[index] = depth[parent] + 1
+    return tuple((bones, _PARENTS[bones]) for bones in (np.flatnonzero(depth == d) for d in range(1, depth.max() + 1)))
 
 
 _LEVELS: Final = _levels()
@@ -210,16 +209,17 @@ def arm_kinematics(heads: np.ndarray, rotations: np.ndarray) -> np.ndarray:
     Returns:
         (..., 24, 3, 4) rigid transforms from rest to posed space, camera frame, metres.
     """
-    linear = np.array(rotations, dtype=np.float64)
-    moved = np.empty(linear.shape[:-1])
-    moved[..., 0, :] = heads[..., 0, :]
+    heads = np.broadcast_to(heads, rotations.shape[:-1])
+    # Every bone's head and axes relative to its parent's, then, level by level, in the camera frame.
+    placed = np.concatenate([rotations, heads[..., None]], axis=-1)
+    placed[..., 1:, :, 3] -= heads[..., _PARENTS[1:], :]
     for bones, parents in _LEVELS:
-        above = linear[..., parents, :, :]
-        linear[..., bones, :, :] = above @ linear[..., bones, :, :]
-        step = (above @ (heads[..., bones, :] - heads[..., parents, :])[..., None])[..., 0]
-        moved[..., bones, :] = moved[..., parents, :] + step
-    shift = moved - (linear @ heads[..., None])[..., 0]
-    return np.concatenate([linear, shift[..., None]], axis=-1)
+        above = placed[..., parents, :, :]
+        below = above[..., :3] @ placed[..., bones, :, :]
+        below[..., 3] += above[..., 3]
+        placed[..., bones, :, :] = below
+    placed[..., 3] -= (placed[..., :3] @ heads[..., None])[..., 0]
+    return placed
 
 
 def forward_kinematics(body: Body, rotations: np.ndarray) -> np.ndarray:

@@ -89,7 +89,7 @@ def rotation_about(axis: np.ndarray, angle: float | np.ndarray) -> np.ndarray:
 
 def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """(...) scalar products of vectors (..., 3)."""
-    return np.einsum("...i,...i->...", a, b)
+    return (a[..., None, :] @ b[..., :, None])[..., 0, 0]
 
 
 def unit(vector: np.ndarray) -> np.ndarray:
@@ -97,10 +97,13 @@ def unit(vector: np.ndarray) -> np.ndarray:
     return vector / np.sqrt(dot(vector, vector))[..., None]
 
 
+_NEXT = np.array([1, 2, 0])
+"""Of the axes x, y, z."""
+
+
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """(..., 3) cross products, without numpy's generality and cost."""
-    ax, ay, az, bx, by, bz = a[..., 0], a[..., 1], a[..., 2], b[..., 0], b[..., 1], b[..., 2]
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
+    return (a * b.take(_NEXT, -1) - a.take(_NEXT, -1) * b).take(_NEXT, -1)
 
 
 def signed_angle(a: np.ndarray, b: np.ndarray, axis: np.ndarray) -> np.ndarray:
@@ -183,7 +186,7 @@ class ArmAnatomy:
         self.pronation_axis = self.forearm * mirror
         self.pronation_rest = signed_angle(self.hinge * mirror, self.palmar, self.pronation_axis)
 
-        axes, spreads, rests = self._fingers(hand)
+        axes, spreads, finger_rests = self._fingers(hand)
         self.finger_axes = axes
         self.thumb = self._thumb(hand)
         self.thumb_foot, self.little_mcp = hand[1], hand[LITTLE_MCP]
@@ -193,10 +196,10 @@ class ArmAnatomy:
         self._turn_axes = np.concatenate(
             [np.stack(wrist_and_thumb), np.stack([spreads, axes, axes, axes], axis=1).reshape(16, 3)]
         )
-        self._turn_rests = np.array(
-            [self.pronation_rest, self.pronation_rest, self.wrist_flexion_rest, 0.0, 0.0, 0.0]
-            + [*self.thumb_rest, *np.pad(rests, ((0, 0), (1, 0))).ravel()]
-        )
+        self._turn_rests = np.zeros(24)
+        self._turn_rests[:3] = self.pronation_rest, self.pronation_rest, self.wrist_flexion_rest
+        self._turn_rests[6:8] = self.thumb_rest
+        self._turn_rests[8:].reshape(4, 4)[:, 1:] = finger_rests
 
     def _fingers(self, hand: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Flexion axes, spread axes and rest flexions (4, 3) of the fingers, index to little."""
