@@ -45,8 +45,7 @@ class ProceduralBackgrounds:
     def sample(self, rng: np.random.Generator, width: int, height: int) -> np.ndarray:
         """A random (height, width, 3) uint8 RGB background."""
         canvas = _wash(rng, width, height)
-        for _ in range(int(rng.integers(4, 26))):
-            _draw_shape(canvas, rng)
+        _draw_shapes(canvas, rng, int(rng.integers(4, 26)))
         texture = _smooth_noise(rng, width, height, cells=int(rng.integers(20, 80)), strength=rng.uniform(0, 30))
         canvas = _plus(canvas, cv2.resize(_offset(texture), (width, height), interpolation=cv2.INTER_CUBIC))
         # Most rooms are rather grey; a few are garish.
@@ -207,8 +206,9 @@ _NORMAL_QUANTILES = np.array([NormalDist().inv_cdf((i + 0.5) / 256) for i in ran
 
 def _grain(rng: np.random.Generator, width: int, height: int, sigma: float) -> np.ndarray:
     """(height, width, 3) normal noise as `_offset`: random bytes look its values up in a table of quantiles."""
-    places = np.frombuffer(rng.bytes(height * width * 3), np.uint8).reshape(height, width, 3)
-    return np.asarray(cv2.LUT(places, _offset(_NORMAL_QUANTILES * sigma)))
+    count = height * width * 3
+    places = rng.integers(2**64, size=-(-count // 8), dtype=np.uint64).view(np.uint8)[:count]
+    return np.asarray(cv2.LUT(places.reshape(height, width, 3), _offset(_NORMAL_QUANTILES * sigma)))
 
 
 def _offset(difference: np.ndarray) -> np.ndarray:
@@ -233,28 +233,28 @@ def _blurred(picture: np.ndarray, sigma: float) -> np.ndarray:
     return np.asarray(cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR))
 
 
-def _draw_shape(canvas: np.ndarray, rng: np.random.Generator) -> None:
-    """One polygon, ellipse or bar; some in skin colours, so that colour alone does not give a hand away."""
+def _draw_shapes(canvas: np.ndarray, rng: np.random.Generator, count: int) -> None:
+    """Polygons, ellipses and bars; some in skin colours, so that colour alone does not give a hand away."""
     height, width = canvas.shape[:2]
-    colour = rng.uniform(0, 255, 3)
-    if rng.random() < 0.3:
-        colour = np.array([200.0, 150.0, 120.0]) * rng.uniform(0.25, 1.2) + rng.normal(0, 12, 3)
-    colour = tuple(float(c) for c in colour)
-    centre = rng.uniform([-0.1, -0.1], [1.1, 1.1]) * [width, height]
-    size = np.exp(rng.uniform(np.log(0.02), np.log(0.5))) * width
-    angle = rng.uniform(0, 180)
-    kind = rng.integers(4)
-    if kind == 0:
-        axes = (int(size / 2) + 1, int(size * rng.uniform(0.1, 0.5)) + 1)
-        cv2.ellipse(canvas, (int(centre[0]), int(centre[1])), axes, angle, 0, 360, colour, -1, cv2.LINE_AA)
-    elif kind == 1:
-        corners = centre + rng.normal(0, size / 2, (int(rng.integers(3, 7)), 2))
-        cv2.fillPoly(canvas, [corners.astype(np.int32)], colour, cv2.LINE_AA)
-    elif kind == 2:
-        box = cv2.boxPoints(((centre[0], centre[1]), (size, size * rng.uniform(0.05, 1)), angle))
-        cv2.fillPoly(canvas, [np.asarray(box).astype(np.int32)], colour, cv2.LINE_AA)
-    else:
-        end = centre + size * 1.5 * np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle))])
-        thick = int(max(1, width * rng.uniform(0.002, 0.06)))
+    skin = np.array([200.0, 150.0, 120.0]) * rng.uniform(0.25, 1.2, (count, 1)) + rng.normal(0, 12, (count, 3))
+    colours = np.where(rng.random((count, 1)) < 0.3, skin, rng.uniform(0, 255, (count, 3)))
+    centres = rng.uniform(-0.1, 1.1, (count, 2)) * [width, height]
+    sizes = np.exp(rng.uniform(np.log(0.02), np.log(0.5), count)) * width
+    angles, slimness = rng.uniform(0, 180, count), rng.random(count)
+    corners = rng.normal(0, 0.5, (count, 6, 2)) * sizes[:, None, None] + centres[:, None]
+    n_corners, kinds = rng.integers(3, 7, count), rng.integers(4, size=count)
+    ends = centres + 1.5 * sizes[:, None] * np.stack([np.cos(np.radians(angles)), np.sin(np.radians(angles))], axis=1)
+    for i in range(count):
+        colour, centre, size, slim = tuple(colours[i].tolist()), centres[i].tolist(), float(sizes[i]), float(slimness[i])
         start = (int(centre[0]), int(centre[1]))
-        cv2.line(canvas, start, (int(end[0]), int(end[1])), colour, thick, cv2.LINE_AA)
+        if kinds[i] == 0:
+            axes = (int(size / 2) + 1, int(size * (0.1 + 0.4 * slim)) + 1)
+            cv2.ellipse(canvas, start, axes, float(angles[i]), 0, 360, colour, -1, cv2.LINE_AA)
+        elif kinds[i] == 1:
+            cv2.fillPoly(canvas, [corners[i, : n_corners[i]].astype(np.int32)], colour, cv2.LINE_AA)
+        elif kinds[i] == 2:
+            box = cv2.boxPoints((centre, (size, size * (0.05 + 0.95 * slim)), float(angles[i])))
+            cv2.fillPoly(canvas, [np.asarray(box).astype(np.int32)], colour, cv2.LINE_AA)
+        else:
+            thick = int(max(1, width * (0.002 + 0.058 * slim)))
+            cv2.line(canvas, start, (int(ends[i, 0]), int(ends[i, 1])), colour, thick, cv2.LINE_AA)
