@@ -64,15 +64,18 @@ def encode_depth(depth_m: np.ndarray) -> np.ndarray:
     Raises:
         DataFormatError: a depth is negative, not finite, or too large for the format.
     """
-    micrometres = np.rint(np.asarray(depth_m, dtype=np.float64) * 1e6)
+    depth = np.asarray(depth_m)
+    covered = np.flatnonzero(depth)  # often a tenth of the picture; NaN is not zero
+    micrometres = np.rint(depth.reshape(-1)[covered].astype(np.float64) * 1e6)
     if not np.all((micrometres >= 0) & (micrometres <= round(MAX_DEPTH_M * 1e6))):  # False for NaN too
         raise DataFormatError(
             f"depth must be finite and within 0..{MAX_DEPTH_M} m to be written as {DEPTH_FILE}, "
             f"got {np.min(depth_m)}..{np.max(depth_m)}"
         )
-    units = micrometres.astype(np.int64)
-    digits = (units % 100, units // 100 % 100, units // 10_000)
-    return np.stack(digits, axis=-1).astype(np.uint8)  # (H, W, 3)
+    units = micrometres.astype(np.int32)
+    pixels = np.zeros((depth.size, 3), np.uint8)
+    pixels[covered] = np.stack([units % 100, units // 100 % 100, units // 10_000], axis=-1)
+    return pixels.reshape(*depth.shape, 3)  # (H, W, 3)
 
 
 def decode_depth(rgb: np.ndarray) -> np.ndarray:

@@ -50,7 +50,7 @@ def test_a_flexed_finger_bends_by_that_angle_towards_the_palm(body, side, finger
     fingers[finger, 2] = flexion
     joints, anatomy = pose_hand(body, side, fingers=fingers)
     mcp, pip, dip = joints[5 + 4 * finger : 8 + 4 * finger]
-    axis = anatomy.fingers[finger][0]
+    axis = anatomy.finger_axes[finger]
     # Knuckle and wrist have moved the hand; measure in the plane the finger bends in.
     assert bend(mcp, pip, dip) == pytest.approx(flexion, abs=0.12)
     straight, _ = pose_hand(body, side)

@@ -8,7 +8,7 @@ own; anatomical axes (flexion, twist) come from the joints themselves in `twohan
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Final
 
@@ -42,24 +42,25 @@ _CHAIN: Final = (
         )
     ),
 )
-BONES_PER_SIDE: Final = len(_CHAIN)
-BONE_NAMES: Final = tuple(f"{name}.{letter}" for letter in "LR" for name, _ in _CHAIN)
+ARM_BONES: Final = tuple(name for name, _ in _CHAIN)
+"""Bones of one arm, parents first."""
+BONES_PER_SIDE: Final = len(ARM_BONES)
+BONE_NAMES: Final = tuple(f"{name}.{letter}" for letter in "LR" for name in ARM_BONES)
 """Bones of the left arm, then of the right arm, parents first."""
 BONE_PARENTS: Final = tuple(
     BONE_NAMES.index(f"{parent}.{letter}") if parent else -1 for letter in "LR" for _, parent in _CHAIN
 )
 
 
+_PARENTS: Final = np.array(BONE_PARENTS[:BONES_PER_SIDE])
+
+
 def _levels() -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-    """(bones, their parents) of every depth of the tree below the two shoulders, nearest first."""
-    depth = [0] * len(BONE_PARENTS)
-    for index, parent in enumerate(BONE_PARENTS):
-        depth[index] = depth[parent] + 1 if parent >= 0 else 0
-    levels = []
-    for level in range(1, max(depth) + 1):
-        bones = np.array([i for i, d in enumerate(depth) if d == level])
-        levels.append((bones, np.array(BONE_PARENTS)[bones]))
-    return tuple(levels)
+    """(bones, their parents) of one arm at every depth of the tree below the shoulder, nearest first."""
+    depth = np.zeros(BONES_PER_SIDE, int)
+    for index, parent in enumerate(_PARENTS[1:], start=1):
+        depth[index] = depth[parent] + 1
+    return tuple((bones, _PARENTS[bones]) for bones in (np.flatnonzero(depth == d) for d in range(1, depth.max() + 1)))
 
 
 _LEVELS: Final = _levels()
@@ -79,9 +80,15 @@ def _joint_bones(side: int) -> list[int]:
 
 
 JOINT_BONES: Final = np.array([_joint_bones(0), _joint_bones(1)])  # (2, 22)
+_TIPS: Final = [5, 9, 13, 17, 21]
+_LAST: Final = [4, 8, 12, 16, 20]
+"""Places in those 22 of the fingertips, and of the last joints before them."""
+_CARRIERS: Final = JOINT_BONES[0].copy()
+_CARRIERS[_TIPS] = JOINT_BONES[0, _LAST]
+"""(22,) bone of one arm that carries the joint along: its own, or the last phalanx for a tip."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Body:
     """One person's arms at rest.
 
@@ -97,14 +104,15 @@ class Body:
     tips: np.ndarray
     asset: ArmsAsset
 
-    @property
+    @cached_property
     def joints(self) -> np.ndarray:
-        """(2, 22, 3) joints at rest: elbow, then the 21 hand joints."""
+        """(2, 22, 3) joints at rest: elbow, then the 21 hand joints; read-only."""
         joints = self.heads[JOINT_BONES]
-        joints[:, [5, 9, 13, 17, 21]] = self.tips
+        joints[:, _TIPS] = self.tips
+        joints.flags.writeable = False
         return joints
 
-    @property
+    @cached_property
     def hand_length_m(self) -> float:
         """Distance from wrist to root joint; the same for both hands to within the asset's precision."""
         joints = self.joints
@@ -158,7 +166,7 @@ class ArmsAsset:
             points = points + np.tensordot(np.asarray(shape, np.float32), self.basis[: len(shape)], axes=1)
         vertices, heads = points[: self.n_vertices], points[self.n_vertices :]
         # The joint sits inside the flesh: a tenth of the way from the skin back to the last knuckle.
-        last = heads[JOINT_BONES[:, [4, 8, 12, 16, 20]]]
+        last = heads[JOINT_BONES[:, _LAST]]
         tips = vertices[self.tip_vertices] * 0.9 + last * 0.1
         return Body(vertices, heads, tips, self)
 
@@ -190,34 +198,51 @@ def load_asset(path: Path = ASSET) -> ArmsAsset:
     )
 
 
-def forward_kinematics(body: Body, rotations: np.ndarray) -> np.ndarray:
-    """Poses the rig.
+def arm_kinematics(heads: np.ndarray, rotations: np.ndarray) -> np.ndarray:
+    """Poses the rig of one arm.
 
     Args:
-        body: the person.
-        rotations: (48, 3, 3) rotation of every bone about its head, in the axes of the rest pose, relative to its
+        heads: (..., 24, 3) bone heads at rest.
+        rotations: (..., 24, 3, 3) rotation of every bone about its head, in the axes of the rest pose, relative to its
             parent.
 
     Returns:
-        (48, 3, 4) rigid transforms from rest to posed space, camera frame, metres.
+        (..., 24, 3, 4) rigid transforms from rest to posed space, camera frame, metres.
     """
-    heads = body.heads
-    linear = np.array(rotations, dtype=np.float64)
-    moved = np.array(heads, dtype=np.float64)
+    heads = np.broadcast_to(heads, rotations.shape[:-1])
+    # Every bone's head and axes relative to its parent's, then, level by level, in the camera frame.
+    placed = np.concatenate([rotations, heads[..., None]], axis=-1)
+    placed[..., 1:, :, 3] -= heads[..., _PARENTS[1:], :]
     for bones, parents in _LEVELS:
-        linear[bones] = linear[parents] @ linear[bones]
-        step = (linear[parents] @ (heads[bones] - heads[parents])[..., None])[..., 0]
-        moved[bones] = moved[parents] + step
-    shift = moved - (linear @ heads[..., None])[..., 0]
-    return np.concatenate([linear, shift[..., None]], axis=-1)
+        above = placed[..., parents, :, :]
+        below = above[..., :3] @ placed[..., bones, :, :]
+        below[..., 3] += above[..., 3]
+        placed[..., bones, :, :] = below
+    placed[..., 3] -= (placed[..., :3] @ heads[..., None])[..., 0]
+    return placed
+
+
+def forward_kinematics(body: Body, rotations: np.ndarray) -> np.ndarray:
+    """Poses both arms, (..., 48, 3, 3) rotations to (..., 48, 3, 4) transforms: see `arm_kinematics`."""
+    batch = np.shape(rotations)[:-3]
+    arms = np.reshape(rotations, (*batch, 2, BONES_PER_SIDE, 3, 3))
+    return arm_kinematics(body.heads.reshape(2, BONES_PER_SIDE, 3), arms).reshape(*batch, -1, 3, 4)
+
+
+def carried(joints: np.ndarray, transforms: np.ndarray) -> np.ndarray:
+    """(..., 22, 3) joints after posing: elbow, then the 21 hand joints; fingertips follow the last bone.
+
+    Args:
+        joints: (..., 22, 3) of one arm at rest.
+        transforms: (..., 24, 3, 4) of its bones, from `arm_kinematics`.
+    """
+    moved = transforms[..., _CARRIERS, :, :]
+    return (moved[..., :3] @ joints[..., None])[..., 0] + moved[..., 3]
 
 
 def posed_joints(body: Body, transforms: np.ndarray) -> np.ndarray:
-    """(2, 22, 3) joints after posing: elbow, then the 21 hand joints; fingertips follow the last bone."""
-    bones = JOINT_BONES.copy()
-    bones[:, [5, 9, 13, 17, 21]] = bones[:, [4, 8, 12, 16, 20]]
-    moved = transforms[bones]
-    return np.einsum("sjab,sjb->sja", moved[..., :3], body.joints) + moved[..., 3]
+    """(..., 2, 22, 3) joints of both arms after posing, from transforms (..., 48, 3, 4): see `carried`."""
+    return carried(body.joints, transforms.reshape(*transforms.shape[:-3], 2, BONES_PER_SIDE, 3, 4))
 
 
 def skin(body: Body, transforms: np.ndarray) -> np.ndarray:

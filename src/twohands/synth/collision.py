@@ -7,6 +7,7 @@ from functools import lru_cache
 import numpy as np
 
 from twohands.synth.body import JOINT_BONES, Body, load_asset
+from twohands.synth.pose import dot
 
 _SEGMENTS = np.array(
     [(0, 1)]  # forearm; 22-joint indices (elbow, wrist, thumb..little)
@@ -46,12 +47,12 @@ def _self_pairs() -> tuple[np.ndarray, np.ndarray]:
 
 
 _SELF_PAIRS, _SELF_SHARES = _self_pairs()
-_CROSS_PAIRS = np.stack(np.meshgrid(np.arange(N_SEGMENTS), np.arange(N_SEGMENTS), indexing="ij"), -1).reshape(-1, 2)
+_SELF_STARTS, _SELF_ENDS = (_SEGMENTS[_SELF_PAIRS, end] for end in (0, 1))  # (N, 2) joints
 
 
 @lru_cache(maxsize=1)
 def _radii() -> np.ndarray:
-    """(20,) capsule radii in metres on the average body: median distance of a bone's vertices from its segment."""
+    """(20,) capsule radii in hand lengths: median distance of a bone's vertices from its segment, average body."""
     asset = load_asset()
     body = asset.body()
     joints = body.joints[0]
@@ -70,23 +71,28 @@ def _radii() -> np.ndarray:
         offset = points - joints[a]
         radii[i] = np.median(np.linalg.norm(offset - np.outer(offset @ axis, axis), axis=1))
     radii[0] *= 1.1
-    return radii
+    return radii / body.hand_length_m
 
 
 def segment_distance(a0: np.ndarray, a1: np.ndarray, b0: np.ndarray, b1: np.ndarray) -> np.ndarray:
-    """Smallest distance between segments a0-a1 and b0-b1, all (N, 3); (N,) in the unit of the input."""
+    """(...) smallest distances between segments a0-a1 and b0-b1, all (..., 3), in the unit of the input."""
     u, v, w = a1 - a0, b1 - b0, a0 - b0
-    uu, uv, vv = (u * u).sum(-1), (u * v).sum(-1), (v * v).sum(-1)
-    uw, vw = (u * w).sum(-1), (v * w).sum(-1)
+    uu, uv, vv, uw, vw = dot(u, u), dot(u, v), dot(v, v), dot(u, w), dot(v, w)
     det = uu * vv - uv * uv
-    s = np.clip(np.where(det > 1e-12, (uv * vw - vv * uw) / np.maximum(det, 1e-12), 0.0), 0, 1)
-    t = np.clip((uv * s + vw) / np.maximum(vv, 1e-12), 0, 1)
-    s = np.clip((uv * t - uw) / np.maximum(uu, 1e-12), 0, 1)
-    return np.linalg.norm(w + s[:, None] * u - t[:, None] * v, axis=-1)
+    s = _clipped(np.where(det > 1e-12, (uv * vw - vv * uw) / np.maximum(det, 1e-12), 0.0))
+    t = _clipped((uv * s + vw) / np.maximum(vv, 1e-12))
+    s = _clipped((uv * t - uw) / np.maximum(uu, 1e-12))
+    apart = w + s[..., None] * u - t[..., None] * v
+    return np.sqrt(dot(apart, apart))
+
+
+def _clipped(share: np.ndarray) -> np.ndarray:
+    """Into [0, 1]; `np.clip` costs more on small arrays."""
+    return np.minimum(np.maximum(share, 0.0), 1.0)
 
 
 def _sized_radii(body: Body) -> np.ndarray:
-    return _radii() * (body.hand_length_m / load_asset().body().hand_length_m)
+    return _radii() * body.hand_length_m
 
 
 def capsules(body: Body, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -103,27 +109,30 @@ def capsules(body: Body, joints: np.ndarray) -> tuple[np.ndarray, np.ndarray, np
     return starts.reshape(-1, 3), ends.reshape(-1, 3), np.tile(_sized_radii(body), len(joints))
 
 
-def hand_enters_itself(body: Body, joints: np.ndarray) -> bool:
-    """Whether a finger enters the palm, the forearm or another finger by more than the flesh yields.
+def hand_enters_itself(body: Body, joints: np.ndarray) -> np.ndarray:
+    """(...) bool, whether a finger enters the palm, the forearm or another finger by more than the flesh yields.
 
     Args:
         body: the person.
-        joints: (22, 3) posed joints of one arm in the body's metres.
+        joints: (..., 22, 3) posed joints of one arm in the body's metres.
     """
-    a, b = _SELF_PAIRS.T
-    radii, starts, ends = _sized_radii(body), joints[_SEGMENTS[:, 0]], joints[_SEGMENTS[:, 1]]
-    gap = segment_distance(starts[a], ends[a], starts[b], ends[b])
-    return bool((gap < _SELF_SHARES * (radii[a] + radii[b])).any())
+    starts, ends = joints[..., _SELF_STARTS, :], joints[..., _SELF_ENDS, :]  # (..., N, 2, 3)
+    gap = segment_distance(starts[..., 0, :], ends[..., 0, :], starts[..., 1, :], ends[..., 1, :])
+    return (gap < _SELF_SHARES * _sized_radii(body)[_SELF_PAIRS].sum(-1)).any(-1)
 
 
-def hands_collide(body: Body, joints: np.ndarray) -> bool:
-    """Whether a hand or forearm enters the other.
+def hands_collide(body: Body, joints: np.ndarray) -> np.ndarray:
+    """(...) bool, whether a hand or forearm enters the other.
 
     Args:
         body: the person.
-        joints: (2, 22, 3) posed joints in the body's metres.
+        joints: (..., 2, 22, 3) posed joints in the body's metres.
     """
-    a, b = _CROSS_PAIRS.T
-    radii, starts, ends = _sized_radii(body), joints[:, _SEGMENTS[:, 0]], joints[:, _SEGMENTS[:, 1]]
-    gap = segment_distance(starts[0][a], ends[0][a], starts[1][b], ends[1][b])
-    return bool((gap < HANDS_TOUCH * (radii[a] + radii[b])).any())
+    radii = _sized_radii(body)
+    low, high = joints.min(-2), joints.max(-2)  # (..., 2, 3)
+    apart = np.maximum(low[..., 0, :] - high[..., 1, :], low[..., 1, :] - high[..., 0, :]).max(-1)
+    collide = np.asarray(apart < 2 * radii.max())  # whose boxes are farther apart need no closer look
+    starts, ends = joints[collide][:, :, _SEGMENTS[:, 0]], joints[collide][:, :, _SEGMENTS[:, 1]]  # (M, 2, 20, 3)
+    gap = segment_distance(starts[:, 0, :, None], ends[:, 0, :, None], starts[:, 1, None], ends[:, 1, None])
+    collide[collide] = (gap < HANDS_TOUCH * (radii[:, None] + radii)).any((-2, -1))
+    return collide[()]

@@ -32,11 +32,11 @@ import numpy as np
 from twohands.errors import InputError
 from twohands.geometry.camera import project
 from twohands.skeleton import LEFT, RIGHT, ROOT, SIDES
-from twohands.synth.body import BONES_PER_SIDE, Body, forward_kinematics, posed_joints
+from twohands.synth.body import Body
 from twohands.synth.collision import hand_enters_itself, hands_collide, segment_distance
 from twohands.synth.config import SynthConfig
-from twohands.synth.pose import ANGLE_LIMITS, ArmAnatomy, HandAngles, unit
-from twohands.synth.scene import inside_image, moved, sample_angles
+from twohands.synth.pose import ANGLE_LIMITS, ArmAnatomy, HandAngles
+from twohands.synth.scene import hand_box, inside_image, moved, sample_angles
 from twohands.types import PinholeCamera
 
 WRIST_PART, SWIVEL, ANGLES = slice(0, 3), 3, slice(4, 28)
@@ -53,8 +53,6 @@ DRIFT_HZ = (0.15, 0.8)
 HEAD_CENTRE, HEAD_RADIUS = np.array([0.0, 0.0, -0.09]), 0.13
 """Sphere in the camera frame, metres, that no part of an arm beyond the elbow enters: the camera sits between the
 eyes."""
-ROOT_BEYOND_WRIST = 0.09
-"""Keys are drawn by root joint but solved by wrist, which lies about this much nearer to the shoulder."""
 KEY_TRIES, PATH_TRIES, START_TRIES, SETBACKS = 60, 12, 40, 200
 """Draws per key, keys per movement, first keys, and movements taken back, before giving up."""
 _SEGMENTS = np.array([(0, 1), (1, 10)] + [(2 + 4 * f + i, 3 + 4 * f + i) for f in range(5) for i in range(3)])
@@ -190,36 +188,29 @@ class Arm:
     def __init__(self, body: Body, anatomy: ArmAnatomy) -> None:
         self.body, self.anatomy, self.side = body, anatomy, anatomy.side
 
-    def rotations(self, state: np.ndarray) -> np.ndarray | None:
-        """(24, 3, 3) rotations of the arm's bones, None if the wrist cannot be reached."""
-        rotations = self.anatomy.hand_rotations(HandAngles.from_vector(state[ANGLES]))
-        return rotations if self.anatomy.reach(rotations, state[WRIST_PART], float(state[SWIVEL])) else None
+    def rotations(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(..., 24, 3, 3) rotations of the arm's bones in the states (..., 28), and (...) bool, whether the wrist can
+        be reached; where it cannot, upper arm and elbow stay at rest."""
+        rotations = self.anatomy.hand_rotations(HandAngles.from_vector(states[..., ANGLES]))
+        return rotations, self.anatomy.reach(rotations, states[..., WRIST_PART], states[..., SWIVEL])
 
-    def joints(self, state: np.ndarray) -> np.ndarray | None:
-        """(22, 3) joints in the camera frame, body's metres; None if the wrist cannot be reached."""
-        rotations = self.rotations(state)
-        if rotations is None:
-            return None
-        first = self.anatomy.first
-        every = np.tile(np.eye(3), (2 * BONES_PER_SIDE, 1, 1))
-        every[first : first + BONES_PER_SIDE] = rotations
-        return posed_joints(self.body, forward_kinematics(self.body, every))[self.side]
+    def joints(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(..., 22, 3) joints in the camera frame, body's metres, in the states (..., 28), and (...) bool as above."""
+        rotations, reached = self.rotations(states)
+        return self.anatomy.joints(rotations), reached
 
 
-def in_picture(joints: np.ndarray, camera: PinholeCamera) -> bool:
-    """Whether any of the joints (N, 3) is in front of the camera and projects into the image."""
-    front = joints[joints[:, 2] > 0]
-    if not len(front):
-        return False
-    px = np.asarray(project(front, camera))
-    return bool(((px >= 0) & (px <= [camera.width, camera.height])).all(1).any())
+def in_picture(joints: np.ndarray, camera: PinholeCamera) -> np.ndarray:
+    """(...) bool, whether any of the joints (..., N, 3) is in front of the camera and projects into the image."""
+    px = np.asarray(project(joints, camera))  # NaN behind the camera
+    return ((px >= 0) & (px <= [camera.width, camera.height])).all(-1).any(-1)
 
 
-def enters_head(joints: np.ndarray) -> bool:
-    """Whether the forearm or hand of one arm's 22 joints enters the sphere of the head."""
-    a, b = joints[_SEGMENTS[:, 0]], joints[_SEGMENTS[:, 1]]
+def enters_head(joints: np.ndarray) -> np.ndarray:
+    """(...) bool, whether the forearm or hand of one arm's joints (..., 22, 3) enters the sphere of the head."""
+    a, b = joints[..., _SEGMENTS[:, 0], :], joints[..., _SEGMENTS[:, 1], :]
     head = np.broadcast_to(HEAD_CENTRE, a.shape)
-    return bool((segment_distance(a, b, head, head) < HEAD_RADIUS).any())
+    return (segment_distance(a, b, head, head) < HEAD_RADIUS).any(-1)
 
 
 def plan_motion(
@@ -271,7 +262,7 @@ class _Planner:
     ) -> None:
         self.config, self.settings, self.arm, self.camera, self.view = config, motion, arm, camera, view
         self.times, self.rng, self.other = times, rng, other
-        self.other_seen = None if other is None else [in_picture(moved(view, joints[1:]), camera) for joints in other]
+        self.other_seen = None if other is None else in_picture(moved(view, other[:, 1:]), camera)
         amplitude = np.full(STATE_SIZE, np.radians(motion.angular_drift))
         amplitude[WRIST_PART] = motion.drift / np.sqrt(3)
         share = rng.dirichlet(np.full(DRIFT_WAVES, 2.0), STATE_SIZE).T  # (3, 28), sums to 1
@@ -290,8 +281,7 @@ class _Planner:
 
     def joints(self) -> np.ndarray:
         """(N, 22, 3) joints of the planned motion."""
-        posed = [self.arm.joints(state) for state in self.motion.states(self.times)]
-        return np.stack([joints for joints in posed if joints is not None])
+        return self.arm.joints(self.motion.states(self.times))[0]
 
     def plan(self) -> None:
         """Fills `motion` up to the last of the times."""
@@ -380,8 +370,8 @@ class _Planner:
                 elif choice < settings.arm_only_rate + settings.hand_only_rate and not self.motion.away[-1]:
                     key[: ANGLES.start] = previous[: ANGLES.start]
             key[SWIVEL:] = np.clip(key[SWIVEL:], self.low, self.high)
-            joints = self.arm.joints(key)
-            if joints is None or hand_enters_itself(self.arm.body, joints):
+            joints, reached = self.arm.joints(key)
+            if not reached or hand_enters_itself(self.arm.body, joints):
                 continue
             if away and not in_picture(moved(self.view, joints), self.camera):
                 return key
@@ -390,7 +380,7 @@ class _Planner:
         return None
 
     def _well_placed(self, joints: np.ndarray) -> bool:
-        low, high = _box(self.config, self.arm.side)
+        low, high = hand_box(self.config, self.arm.side)
         root = joints[1 + ROOT]
         in_box = bool((root > low).all() and (root < high).all())
         return in_box and bool(
@@ -399,8 +389,7 @@ class _Planner:
         )
 
     def _wrist_in_box(self) -> np.ndarray:
-        target = self.rng.uniform(*_box(self.config, self.arm.side))
-        return target - unit(target - self.arm.anatomy.shoulder) * ROOT_BEYOND_WRIST
+        return self.arm.anatomy.wrist_before(self.rng.uniform(*hand_box(self.config, self.arm.side)))
 
     def _away_wrist(self) -> np.ndarray:
         """Below the picture, towards the lap, or beside it."""
@@ -412,30 +401,27 @@ class _Planner:
         return place * [outward, 1.0, 1.0]
 
     def _sound(self, motion: HandMotion, begin: float, end: float) -> bool:
-        """Whether all frames from `begin` to `end` are possible; the middle of the way is tried first."""
+        """Whether all frames from `begin` to `end` are possible; every eighth of them is tried first."""
         frames = np.flatnonzero((self.times >= begin - 1e-9) & (self.times <= end + 1e-9))
-        order = np.concatenate([frames[offset::8] for offset in (4, 0, 2, 6, 1, 3, 5, 7)])
-        states = motion.states(self.times[order])
-        return all(self._frame_is_sound(k, state) for k, state in zip(order, states, strict=True))
+        few = np.zeros(len(frames), bool)
+        few[4::8] = True
+        return all(
+            self._frames_are_sound(some, motion.states(self.times[some])) for some in (frames[few], frames[~few])
+        )
 
-    def _frame_is_sound(self, k: int, state: np.ndarray) -> bool:
-        joints = self.arm.joints(state)
-        if joints is None or enters_head(joints) or hand_enters_itself(self.arm.body, joints):
+    def _frames_are_sound(self, frames: np.ndarray, states: np.ndarray) -> bool:
+        """Whether this hand in the states (F, 28) at the frames (F,) enters nothing; without the other hand in the
+        picture it has to be there."""
+        body = self.arm.body
+        joints, reached = self.arm.joints(states)
+        if not reached.all() or enters_head(joints).any():
             return False
-        seen = in_picture(moved(self.view, joints[1:]), self.camera)
-        if seen and joints[1:, 2].min() < 0.05:
+        seen = in_picture(moved(self.view, joints[:, 1:]), self.camera)
+        if (seen & (joints[:, 1:, 2].min(-1) < 0.05)).any():
             return False
-        if self.other is None or self.other_seen is None:
-            return True
-        if not (seen and self.other_seen[k]):
-            return seen or self.other_seen[k]
-        pair = (self.other[k], joints) if self.arm.side == RIGHT else (joints, self.other[k])
-        return not hands_collide(self.arm.body, np.stack(pair))
-
-
-def _box(config: SynthConfig, side: int) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of the hand box, mirrored for the right hand."""
-    low, high = np.array(config.box_min), np.array(config.box_max)
-    if side == RIGHT:
-        low[0], high[0] = -config.box_max[0], -config.box_min[0]
-    return low, high
+        if self.other is not None and self.other_seen is not None:
+            other, other_seen = self.other[frames], self.other_seen[frames]
+            both = seen & other_seen
+            if not (seen | other_seen).all() or hands_collide(body, np.stack([joints, other], axis=1)[both]).any():
+                return False
+        return not hand_enters_itself(body, joints).any()

@@ -11,7 +11,7 @@ import numpy as np
 from twohands.errors import InputError
 from twohands.geometry.camera import project
 from twohands.skeleton import LEFT, RIGHT, ROOT
-from twohands.synth.body import BONES_PER_SIDE, Body, forward_kinematics, load_asset, posed_joints
+from twohands.synth.body import BONES_PER_SIDE, Body, forward_kinematics, load_asset
 from twohands.synth.collision import hand_enters_itself, hands_collide
 from twohands.synth.config import SynthConfig
 from twohands.synth.pose import ArmAnatomy, HandAngles, rotation_about, unit
@@ -140,46 +140,51 @@ def instance_rng(seed: int, index: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(entropy=seed, spawn_key=(index,)))
 
 
-def sample_angles(rng: np.random.Generator) -> HandAngles:
-    """Random angles within the ranges of a healthy adult hand.
+_KINDS_OF_HAND = np.cumsum([0.4, 0.3, 0.15, 0.15])[:-1]
+"""Where the shares of hands that bend together, freely, some fingers, or as a pinch or hook end; they sum to 1."""
+
+
+def sample_angles(rng: np.random.Generator, shape: tuple[int, ...] = ()) -> HandAngles:
+    """Random angles within the ranges of a healthy adult hand, or of an array of hands of the given shape.
 
     Fingers are drawn together (fists, flat hands, grasps), each on its own (free poses), or as a pointing or pinching
     hand, so that common hand shapes and odd ones both occur.
     """
     deg = np.radians
-    kind = rng.choice(4, p=[0.4, 0.3, 0.15, 0.15])
-    shared = rng.uniform(-0.05, 1.0)
-    if kind == 0:  # together: flat hand to fist
-        curl = np.full((4, 2), shared) + rng.normal(0, 0.10, (4, 2))
-    elif kind == 1:  # free: every joint on its own
-        curl = rng.uniform(-0.1, 1.0, (4, 2))
-    elif kind == 2:  # some fingers out, the others curled: pointing, counting
-        out = rng.random(4) < 0.5
-        curl = np.where(out[:, None], rng.uniform(-0.1, 0.2, (4, 2)), rng.uniform(0.6, 1.0, (4, 2)))
-    else:  # knuckles bent, fingers rather straight, or the reverse: pinch and hook
-        curl = np.stack([np.full(4, rng.uniform(0, 1)), np.full(4, rng.uniform(0, 1))], 1)
-        curl += rng.normal(0, 0.08, (4, 2))
+    kind = np.searchsorted(_KINDS_OF_HAND, rng.random(shape), side="right")
+    # Together: flat hand to fist.
+    together = rng.uniform(-0.05, 1.0, shape)[..., None, None] + rng.normal(0, 0.10, (*shape, 4, 2))
+    # Free: every joint on its own.
+    free = rng.uniform(-0.1, 1.0, (*shape, 4, 2))
+    # Some fingers out, the others curled: pointing, counting.
+    out = rng.random((*shape, 4, 1)) < 0.5
+    some = np.where(out, rng.uniform(-0.1, 0.2, (*shape, 4, 2)), rng.uniform(0.6, 1.0, (*shape, 4, 2)))
+    # Knuckles bent, fingers rather straight, or the reverse: pinch and hook.
+    pinch = rng.uniform(0, 1, (*shape, 1, 2)) + rng.normal(0, 0.08, (*shape, 4, 2))
+    curl = np.choose(kind[..., None, None], [together, free, some, pinch])
     curl = np.clip(curl, -0.15, 1.0)
-    mcp = deg(-5 + 88 * curl[:, 0])
-    pip = deg(4 + 98 * np.clip(curl[:, 1], 0, 1))
-    dip = pip * rng.uniform(0.4, 0.8, 4) + deg(rng.normal(0, 3, 4))
-    openness = rng.uniform(-0.4, 1.0)
+    mcp = deg(-5 + 88 * curl[..., 0])
+    pip = deg(4 + 98 * np.clip(curl[..., 1], 0, 1))
+    dip = pip * rng.uniform(0.4, 0.8, (*shape, 4)) + deg(rng.normal(0, 3, (*shape, 4)))
+    openness = rng.uniform(-0.4, 1.0, (*shape, 1))
     # A bent knuckle cannot spread: its side ligaments are tight.
     room = np.cos(np.clip(mcp, 0, deg(80))) ** 2
-    spread = (deg([10.0, 2.0, -6.0, -14.0]) * openness + deg(rng.normal(0, 3, 4))) * room
+    spread = (deg([10.0, 2.0, -6.0, -14.0]) * openness + deg(rng.normal(0, 3, (*shape, 4)))) * room
     # Spread of the thumb as measured on people: beside the index, spread out, or opposed to the other fingers.
-    if rng.random() < 0.25:
-        radial, palmar = rng.uniform(2, 22), rng.uniform(-4, 14)
-    else:
-        radial, palmar = np.clip(rng.normal(29, 13), -2, 56), np.clip(rng.normal(27, 14), -4, 54)
-    thumb = deg([radial, palmar, rng.uniform(0, 50), rng.uniform(-12, 65)])
+    beside = rng.random((*shape, 1)) < 0.25
+    base = np.where(
+        beside,
+        rng.uniform([2, -4], [22, 14], (*shape, 2)),
+        np.clip(rng.normal([29, 27], [13, 14], (*shape, 2)), [-2, -4], [56, 54]),
+    )
+    thumb = deg(np.concatenate([base, rng.uniform([0, -12], [50, 65], (*shape, 2))], axis=-1))
     return HandAngles(
-        pronation=deg(rng.uniform(-75, 75)),
-        wrist_flexion=deg(np.clip(rng.normal(-5, 28), -60, 60)),
-        wrist_deviation=deg(np.clip(rng.normal(-4, 11), -28, 20)),
-        cup=deg(rng.uniform(0, 14)),
+        pronation=deg(rng.uniform(-75, 75, shape)),
+        wrist_flexion=deg(np.clip(rng.normal(-5, 28, shape), -60, 60)),
+        wrist_deviation=deg(np.clip(rng.normal(-4, 11, shape), -28, 20)),
+        cup=deg(rng.uniform(0, 14, shape)),
         thumb=thumb,
-        fingers=np.stack([spread, mcp, pip, dip], axis=1),
+        fingers=np.stack([spread, mcp, pip, dip], axis=-1),
     )
 
 
@@ -340,20 +345,20 @@ def sample_scene(config: SynthConfig, seed: int, index: int) -> SceneSpec:
             present = rng.random(2) >= config.drop_rate
             if not present.any():
                 present[rng.integers(2)] = True
-            rotations = np.tile(np.eye(3), (2 * BONES_PER_SIDE, 1, 1))
+            rotations = np.tile(np.eye(3), (2, BONES_PER_SIDE, 1, 1))
+            joints = body.joints.copy()
             sides = [side for side in (LEFT, RIGHT) if present[side]]
-        together = len(sides) == 2 and rng.random() < config.together
+            together = len(sides) == 2 and rng.random() < config.together
         first = int(rng.integers(2)) if together else 0
         partner = None
         for side in sides if first == 0 else sides[::-1]:
-            root = _pose_arm(config, anatomy[side], body, camera, view, rotations, rng, partner)
-            if root is None:
+            arm = _pose_arm(config, anatomy[side], body, camera, view, rng, partner)
+            if arm is None:
                 break
-            partner = root if together else None
-        if root is None:
+            rotations[side], joints[side] = arm
+            partner = joints[side, 1 + ROOT] if together else None
+        if arm is None:
             continue
-        transforms = forward_kinematics(body, rotations)
-        joints = posed_joints(body, transforms)
         if not (present.all() and hands_collide(body, joints)):
             break
     else:
@@ -364,6 +369,7 @@ def sample_scene(config: SynthConfig, seed: int, index: int) -> SceneSpec:
     lighting = sample_lighting(config, rng)
     skin, clothes = sample_skin(config, rng), sample_clothes(config, rng)
     bare = clothes.glove_until, clothes.sleeve_from
+    transforms = forward_kinematics(body, rotations.reshape(-1, 3, 3))
     things = sample_things(config, body, transforms, joints, present, bare, rng)
     if sees_the_person(view):
         things += sample_person(body, skin.albedo, clothes.sleeve_albedo, rng)
@@ -385,8 +391,12 @@ def sample_scene(config: SynthConfig, seed: int, index: int) -> SceneSpec:
 
 HANDS_CENTRE = np.array([0.0, 0.05, 0.32])
 """Where cameras that are not on the head look: the middle of the hand boxes, metres, frame between the eyes."""
-NEAR_PARTNER_M = 0.11
-"""Spread (standard deviation per axis) of the distance between two roots that are together."""
+NEAR_PARTNER_M = (0.03, 0.13)
+"""Range of the spread (standard deviation per axis) of the distance between two roots that are together."""
+
+
+CANDIDATES, BATCHES = 10, 4
+"""Arms drawn at once, and how often, before an attempt at a person fails."""
 
 
 def _pose_arm(
@@ -395,33 +405,36 @@ def _pose_arm(
     body: Body,
     camera: PinholeCamera,
     view: np.ndarray,
-    rotations: np.ndarray,
     rng: np.random.Generator,
     partner: np.ndarray | None,
-) -> np.ndarray | None:
-    """Draws one arm into `rotations` (48, 3, 3), near the root `partner` of the other hand if there is one.
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Draws one arm, near the root `partner` of the other hand if there is one.
 
     Returns:
-        Its root (3,), or None if no arm was found that reaches the box, stays in the picture and out of itself.
+        Rotations (24, 3, 3) of its bones and its joints (22, 3) in the body's metres, or None if no arm was found that
+        reaches the box, stays in the picture and out of itself.
     """
-    low, high = np.array(config.box_min), np.array(config.box_max)
-    if anatomy.side == RIGHT:
-        low[0], high[0] = -config.box_max[0], -config.box_min[0]
-    arm = slice(anatomy.first, anatomy.first + BONES_PER_SIDE)
-    for _ in range(40):
-        target = rng.uniform(low, high)
+    low, high = hand_box(config, anatomy.side)
+    for _ in range(BATCHES):
+        target = rng.uniform(low, high, (CANDIDATES, 3))
         if partner is not None:
-            target = np.clip(partner + rng.normal(0, NEAR_PARTNER_M, 3), low, high)
-        hand = anatomy.hand_rotations(sample_angles(rng))
-        # The box is for the root joint but the arm solver places the wrist, about a hand length nearer the elbow.
-        wrist = target - unit(target - anatomy.shoulder) * 0.09
-        if not anatomy.reach(hand, wrist, np.radians(rng.uniform(-10, 75))):
-            continue
-        rotations[arm] = hand
-        joints = posed_joints(body, forward_kinematics(body, rotations))[anatomy.side]
-        root = joints[1 + ROOT]
-        in_box = (root > low).all() and (root < high).all()
-        inside = inside_image(moved(view, joints[1:]), camera, config.image_margin)
-        if in_box and inside.sum() >= config.min_inside and not hand_enters_itself(body, joints):
-            return root
+            spread = rng.uniform(*NEAR_PARTNER_M, (CANDIDATES, 1))
+            target = np.clip(partner + rng.normal(0, 1, target.shape) * spread, low, high)
+        rotations = anatomy.hand_rotations(sample_angles(rng, (CANDIDATES,)))
+        reached = anatomy.reach(rotations, anatomy.wrist_before(target), np.radians(rng.uniform(-10, 75, CANDIDATES)))
+        joints = anatomy.joints(rotations)
+        root = joints[:, 1 + ROOT]
+        in_box = ((root > low) & (root < high)).all(-1)
+        inside = inside_image(moved(view, joints[:, 1:]), camera, config.image_margin).sum(-1) >= config.min_inside
+        for candidate in np.flatnonzero(reached & in_box & inside):
+            if not hand_enters_itself(body, joints[candidate]):
+                return rotations[candidate], joints[candidate]
     return None
+
+
+def hand_box(config: SynthConfig, side: int) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of the box that holds the root joint, mirrored for the right hand."""
+    low, high = np.array(config.box_min), np.array(config.box_max)
+    if side == RIGHT:
+        low[0], high[0] = -config.box_max[0], -config.box_min[0]
+    return low, high

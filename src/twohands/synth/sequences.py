@@ -191,15 +191,15 @@ class Sequence:
             raise IndexError(f"frame {frame} of {self.set.frames}")
         rotations = np.tile(np.eye(3), (2 * BONES_PER_SIDE, 1, 1))
         for arm, motion in zip(self.arms, self.motion, strict=True):
-            posed = arm.rotations(motion.states(self.times[frame : frame + 1])[0])
-            if posed is None:
+            posed, reached = arm.rotations(motion.states(self.times[frame : frame + 1])[0])
+            if not reached:
                 raise RuntimeError(f"sequence {self.index}: the wrist is out of reach in frame {frame}")
             first = arm.anatomy.first
             rotations[first : first + BONES_PER_SIDE] = posed
         transforms = forward_kinematics(self._body, rotations)
         joints = posed_joints(self._body, transforms)
         seen = moved(self.view, joints)
-        present = np.array([in_picture(hand[1:], self.camera) for hand in seen])
+        present = in_picture(seen[:, 1:], self.camera)
         return SceneSpec(
             camera=self.camera,
             shape=self.shape,

@@ -15,6 +15,7 @@ from twohands.errors import MissingExtraError, RendererError
 from twohands.skeleton import N_PART_LABELS
 from twohands.synth.body import BONE_NAMES, load_asset
 from twohands.synth.collision import capsules
+from twohands.synth.compositing import partly_covered
 from twohands.synth.render.shaders import (
     COLOUR_FRAGMENT,
     COLOUR_VERTEX,
@@ -313,7 +314,7 @@ def _frame(colour: np.ndarray, labels: np.ndarray, depth: np.ndarray, scene: Sce
     rgba = cv2.copyTo(colour, mask)
     rgb, alpha = cv2.cvtColor(rgba, cv2.COLOR_RGBA2RGB), np.maximum(cv2.extractChannel(rgba, 3), mask)
     # Where some samples missed the hand, the resolved colour is darkened by the empty ones.
-    partial = np.flatnonzero(cv2.inRange(alpha, 1, 254))
+    partial = partly_covered(alpha)
     darkened = rgb.reshape(-1, 3)[partial].astype(np.float32)
     straight = darkened * (255 / alpha.ravel()[partial, None].astype(np.float32))
     rgb.reshape(-1, 3)[partial] = np.clip(straight + 0.5, 0, 255).astype(np.uint8)

@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 
 from twohands.synth.body import bone, load_asset, part_labels
-from twohands.synth.pose import ArmAnatomy, unit
+from twohands.synth.pose import ArmAnatomy, dot, unit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,13 +41,12 @@ class Surface:
 
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """(V, 3) outward unit normals of a closed mesh whose triangles are counter-clockwise from outside."""
-    corners = vertices[faces]
-    face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals = np.zeros_like(vertices)
-    for k in range(3):
-        for axis in range(3):
-            normals[:, axis] += np.bincount(faces[:, k], face[:, axis], len(vertices))
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    corners = faces.T.ravel()
+    places = vertices.T.take(corners, axis=1).reshape(3, 3, -1)  # one row per axis and corner: numpy is fast along rows
+    (ux, uy, uz), (vx, vy, vz) = places[:, 1] - places[:, 0], places[:, 2] - places[:, 0]
+    face = (uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx)
+    normals = np.stack([np.bincount(corners, np.tile(along, 3), len(vertices)) for along in face], axis=1)
+    return normals / np.maximum(np.sqrt(dot(normals, normals)), 1e-12)[:, None]
 
 
 @lru_cache(maxsize=1)
@@ -73,7 +72,7 @@ def surface() -> Surface:
         for finger in range(5):
             last = joints[4 + 4 * finger]
             tip = joints[5 + 4 * finger]
-            bend = anatomy.thumb[2] if finger == 0 else anatomy.fingers[finger - 1][0]
+            bend = anatomy.thumb[2] if finger == 0 else anatomy.finger_axes[finger - 1]
             axis = unit(tip - last)
             across = unit(bend - axis * (bend @ axis))
             dorsal = np.cross(axis, across)
