@@ -213,7 +213,7 @@ def sample_skin(config: SynthConfig, rng: np.random.Generator) -> Skin:
     albedo = srgb**2.2
     # The printed scale is paler than lit skin; blood reddens and deepens it.
     albedo = albedo * np.array([0.86, 0.60, 0.46]) ** rng.uniform(0.75, 1.5) * rng.uniform(0.9, 1.2)
-    albedo = np.clip(albedo * np.exp(rng.normal(0, 0.05, 3)), 0.012, 0.9)
+    albedo = np.clip(albedo * np.exp(rng.normal(0, 0.03, 3)), 0.012, 0.9)
     pale = np.array([0.62, 0.36, 0.27])
     palm = albedo + (pale - albedo) * np.where(albedo < pale, 0.38, 0.12)
     nail = albedo + (np.array([0.75, 0.52, 0.45]) - albedo) * 0.4
@@ -228,11 +228,11 @@ def sample_lighting(config: SynthConfig, rng: np.random.Generator) -> Lighting:
     distance = rng.uniform(0.9, 2.2, (count, 1))
     positions = direction * distance + [0.0, 0.1, 0.35]
     warmth = rng.normal(0, 0.07)  # what a camera's white balance leaves
-    tint = np.exp(np.array([warmth, 0.0, -warmth]) + rng.normal(0, 0.05, (count, 3)))
+    tint = np.exp(np.array([warmth, 0.0, -warmth]) + rng.normal(0, 0.035, (count, 3)))
     power = rng.dirichlet(np.full(count, 1.5))[:, None] * count * distance**2
     level = np.exp(rng.normal(0, 0.3))
     ambient = level * rng.uniform(0.12, 0.45)
-    sky = ambient * np.exp(np.array([warmth, 0.0, -warmth]) + rng.normal(0, 0.08, 3))
+    sky = ambient * np.exp(np.array([warmth, 0.0, -warmth]) + rng.normal(0, 0.04, 3))
     ground = sky * rng.uniform(0.3, 0.9) * np.exp(rng.normal(0, 0.1, 3))
     return Lighting(positions, tint * power * level * rng.uniform(0.16, 0.34), sky, ground)
 
@@ -267,12 +267,12 @@ def sample_camera(config: SynthConfig, rng: np.random.Generator) -> tuple[Pinhol
     kind = rng.random()
     if kind < config.webcam:  # on a screen or a shelf across the table
         place = rng.uniform([-0.2, -0.1, 0.55], [0.2, 0.4, 0.95])
-        aim = looking_from(place, HANDS_CENTRE + rng.normal(0, 0.05, 3))
+        aim = looking_from(place, HANDS_CENTRE + rng.normal(0, 0.03, 3))
     elif kind < config.webcam + config.free_view:
         azimuth, height = rng.uniform(-np.pi, np.pi), rng.uniform(-0.9, 0.5)
         direction = np.array([np.sin(azimuth) * np.cos(height), np.sin(height), np.cos(azimuth) * np.cos(height)])
         place = HANDS_CENTRE + direction * rng.uniform(0.45, 1.0)
-        aim = looking_from(place, HANDS_CENTRE + rng.normal(0, 0.05, 3))
+        aim = looking_from(place, HANDS_CENTRE + rng.normal(0, 0.03, 3))
     else:
         aim = rotation_about(np.array([1.0, 0.0, 0.0]), pitch)
     rotation = rotation_about(np.array([0.0, 0.0, 1.0]), roll) @ aim
