@@ -120,7 +120,7 @@ def inspect_dataset(
             reprojection.append(reprojection_errors_px(instance))
             gaps.append(surface_gaps_m(instance))
             alpha = None if rgba is None else rgba[..., 3]
-            found = instance_problems(instance, alpha, hand_length_m)
+            found = instance_problems(instance, alpha, hand_length_m, _amodal(instance, files))
             problems.extend(Problem(source, message) for message in found)
             measurements.add(instance)
         if on_progress is not None:
@@ -142,7 +142,10 @@ def inspect_dataset(
 
 
 def instance_problems(
-    instance: Ego3DHandsInstance, alpha: np.ndarray | None = None, hand_length_m: float | None = fmt.HAND_LENGTH_M
+    instance: Ego3DHandsInstance,
+    alpha: np.ndarray | None = None,
+    hand_length_m: float | None = fmt.HAND_LENGTH_M,
+    amodal: np.ndarray | None = None,
 ) -> list[str]:
     """All contradictions within one instance.
 
@@ -150,6 +153,7 @@ def instance_problems(
         instance: what was read.
         alpha: (H, W) uint8 alpha channel of `color.png`, or None.
         hand_length_m: |wrist - root| that hands must have, metres; None for any.
+        amodal: (H, W) bool, where an arm is or would be if nothing hid it, or None.
 
     Returns:
         One line per contradiction; empty for a sound instance.
@@ -157,7 +161,7 @@ def instance_problems(
     return [
         *_presence_problems(instance),
         *_joint_problems(instance, hand_length_m),
-        *_outline_problems(instance),
+        *_outline_problems(instance, amodal),
         *_mask_problems(instance, alpha),
         *_surface_problems(instance),
     ]
@@ -258,13 +262,28 @@ def _joint_problems(instance: Ego3DHandsInstance, hand_length_m: float | None) -
     return found
 
 
-def _outline_problems(instance: Ego3DHandsInstance) -> list[str]:
+def _amodal(instance: Ego3DHandsInstance, files: Mapping[str, bytes]) -> np.ndarray | None:
+    """(H, W) bool of `gt_amodal.png`, where there is one.
+
+    Raises:
+        DataFormatError: it is no picture, or not of the image's size.
+    """
+    if fmt.AMODAL_FILE not in files:
+        return None
+    pixels = cv2.imdecode(np.frombuffer(files[fmt.AMODAL_FILE], np.uint8), cv2.IMREAD_GRAYSCALE)
+    if pixels is None or pixels.shape != instance.image.shape[:2]:
+        raise DataFormatError(f"{instance.path / fmt.AMODAL_FILE}: damaged, or not of the image's size")
+    return np.asarray(pixels) > 0
+
+
+def _outline_problems(instance: Ego3DHandsInstance, amodal: np.ndarray | None) -> list[str]:
     """2D joints against the mask: a joint inside the picture shows its own hand, or what hides it; never background."""
     if instance.labels is None:
         return []
     height, width = instance.labels.shape
     tolerance = max(1.5, OUTLINE_TOLERANCE_PX * height / 540)
-    distance = cv2.distanceTransform((instance.labels == 0).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    hands = instance.labels > 0 if amodal is None else amodal
+    distance = cv2.distanceTransform((~hands).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     inside = ~_outside_mask(instance)
     inside[:, 0] = False  # elbows
     found = []

@@ -72,8 +72,11 @@ class SynthConfig:
     """Share of pictures whose lights take colour, brightness and direction from the background."""
     sensor: float = 0.0
     """Strength of a camera's faults: exposure, white balance, defocus, shake, noise, compression; 0 is ideal."""
-    amodal: bool = False
-    """Whether to write what every arm would cover if the rest were away (`gt_amodal.png`)."""
+
+    @property
+    def amodal(self) -> bool:
+        """Whether more than chance hides hands, so that it is worth writing what they would cover (`gt_amodal.png`)."""
+        return any((self.together, self.objects, self.webcam, self.free_view)) or self.pitch != (0.0, 0.0)
 
     def __post_init__(self) -> None:
         if self.width < 32 or self.height < 32:
@@ -136,7 +139,6 @@ WILD = SynthConfig(
     rings=0.2,
     background_light=0.7,
     sensor=1.0,
-    amodal=True,
 )
 """As varied as the world: all kinds of adults, cameras, clothes; hands that meet and leave the picture."""
 
