@@ -245,7 +245,12 @@ def _draw_shapes(canvas: np.ndarray, rng: np.random.Generator, count: int) -> No
     n_corners, kinds = rng.integers(3, 7, count), rng.integers(4, size=count)
     ends = centres + 1.5 * sizes[:, None] * np.stack([np.cos(np.radians(angles)), np.sin(np.radians(angles))], axis=1)
     for i in range(count):
-        colour, centre, size, slim = tuple(colours[i].tolist()), centres[i].tolist(), float(sizes[i]), float(slimness[i])
+        colour, centre, size, slim = (
+            tuple(colours[i].tolist()),
+            centres[i].tolist(),
+            float(sizes[i]),
+            float(slimness[i]),
+        )
         start = (int(centre[0]), int(centre[1]))
         if kinds[i] == 0:
             axes = (int(size / 2) + 1, int(size * (0.1 + 0.4 * slim)) + 1)

@@ -405,7 +405,9 @@ class _Planner:
         frames = np.flatnonzero((self.times >= begin - 1e-9) & (self.times <= end + 1e-9))
         few = np.zeros(len(frames), bool)
         few[4::8] = True
-        return all(self._frames_are_sound(some, motion.states(self.times[some])) for some in (frames[few], frames[~few]))
+        return all(
+            self._frames_are_sound(some, motion.states(self.times[some])) for some in (frames[few], frames[~few])
+        )
 
     def _frames_are_sound(self, frames: np.ndarray, states: np.ndarray) -> bool:
         """Whether this hand in the states (F, 28) at the frames (F,) enters nothing; without the other hand in the

@@ -389,9 +389,7 @@ def _pose_arm(
         if partner is not None:
             target = np.clip(partner + rng.normal(0, NEAR_PARTNER_M, target.shape), low, high)
         rotations = anatomy.hand_rotations(sample_angles(rng, (CANDIDATES,)))
-        reached = anatomy.reach(
-            rotations, anatomy.wrist_before(target), np.radians(rng.uniform(-10, 75, CANDIDATES))
-        )
+        reached = anatomy.reach(rotations, anatomy.wrist_before(target), np.radians(rng.uniform(-10, 75, CANDIDATES)))
         joints = anatomy.joints(rotations)
         root = joints[:, 1 + ROOT]
         in_box = ((root > low) & (root < high)).all(-1)
