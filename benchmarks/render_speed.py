@@ -125,7 +125,7 @@ def measure(name: str, preset: SynthConfig) -> None:
     )
     rate, size = disk_rate(replace(preset, width=960, height=540))
     print(
-        f"  {'instances on disk, 960x540':28s} {rate:8.1f} /s {size:8.0f} kB each, {rate / instances:.2f} of {instances:g} /s"
+        f"  {'instances, 960x540':28s} {rate:8.1f} /s {size:8.0f} kB each, {rate / instances:.2f} of {instances:g} /s"
     )
 
 
