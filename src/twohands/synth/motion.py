@@ -203,14 +203,14 @@ class Arm:
 def in_picture(joints: np.ndarray, camera: PinholeCamera) -> np.ndarray:
     """(...) bool, whether any of the joints (..., N, 3) is in front of the camera and projects into the image."""
     px = np.asarray(project(joints, camera))  # NaN behind the camera
-    return ((px >= 0) & (px <= [camera.width, camera.height])).all(-1).any(-1)
+    return np.asarray(((px >= 0) & (px <= [camera.width, camera.height])).all(-1).any(-1))
 
 
 def enters_head(joints: np.ndarray) -> np.ndarray:
     """(...) bool, whether the forearm or hand of one arm's joints (..., 22, 3) enters the sphere of the head."""
     a, b = joints[..., _SEGMENTS[:, 0], :], joints[..., _SEGMENTS[:, 1], :]
     head = np.broadcast_to(HEAD_CENTRE, a.shape)
-    return (segment_distance(a, b, head, head) < HEAD_RADIUS).any(-1)
+    return np.asarray((segment_distance(a, b, head, head) < HEAD_RADIUS).any(-1))
 
 
 def plan_motion(

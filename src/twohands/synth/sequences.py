@@ -175,7 +175,7 @@ class Sequence:
 
     @cached_property
     def motion(self) -> tuple[HandMotion, HandMotion]:
-        """(LEFT, RIGHT), planned when first needed; some seconds for 500 frames."""
+        """(LEFT, RIGHT), planned when first needed; about a second for 500 frames."""
         rng = _rng(self.set.scene_seed, _MOTION_STREAM, self.index)
         return plan_motion(self.set.config, self.set.motion, self.arms, self.camera, self.view, self.times, rng)
 
