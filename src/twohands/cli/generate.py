@@ -57,8 +57,8 @@ class GenerateArgs:
     shard_size: int = 1000
     """Instances per tar shard."""
     renderer: Literal["raster", "blender"] = "raster"
-    """raster: OpenGL, milliseconds a picture; blender: the same scenes and labels, path-traced by Blender's Cycles, over
-    a hundred times slower (extra 'blender', Python 3.11)."""
+    """raster: OpenGL, milliseconds a picture; blender: the same scenes and labels, path-traced by Blender's Cycles,
+    over a hundred times slower (extra 'blender', Python 3.11)."""
     workers: int = 0
     """Processes; 0 takes all cores: one process each, but for Blender a single one, which uses them all."""
     preset: Literal["paper", "wild"] = "paper"

@@ -36,9 +36,13 @@ WATTS = 4 * np.pi**2
 """Power of a Blender lamp that lights a white matte surface at 1 m to the radiance 1."""
 
 
-@lru_cache(maxsize=1)
-def _blender() -> Any:
-    """The module bpy, with an empty file and factory settings; once per process, which has one Blender."""
+def import_blender() -> Any:
+    """The module bpy.
+
+    Raises:
+        MissingExtraError: bpy is not installed.
+        RendererError: it cannot be loaded.
+    """
     try:
         with _silent():
             import bpy  # pyright: ignore[reportMissingImports]
@@ -46,9 +50,16 @@ def _blender() -> Any:
         raise MissingExtraError("the Blender renderer (Python 3.11)", "blender") from error
     except ImportError as error:
         raise RendererError(
-            f"Blender cannot be loaded ({error}); on Debian or Ubuntu: apt-get install libgl1 libsm6 libxi6 "
+            f"Blender cannot be loaded ({error}); on Debian or Ubuntu: apt-get install libgl1 libgomp1 libsm6 libxi6 "
             "libxkbcommon0 libxrender1 libxfixes3 libxxf86vm1"
         ) from error
+    return bpy
+
+
+@lru_cache(maxsize=1)
+def _blender() -> Any:
+    """The module bpy with an empty file and factory settings; emptied once, for a process has one Blender."""
+    bpy = import_blender()
     bpy.ops.wm.read_factory_settings(use_empty=True)
     return bpy
 

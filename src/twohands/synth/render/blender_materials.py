@@ -1,4 +1,4 @@
-"""What the arms look like to Cycles, after `shaders.COLOUR_FRAGMENT`, and what carries their labels, as shader nodes."""
+"""Shader nodes of the arms' look to Cycles, after `shaders.COLOUR_FRAGMENT`, and of what carries their labels."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from twohands.synth.scene import Lighting, SceneSpec
 
 REFRACTION = 1.4
 """Of skin: 2.8 % of the light that falls straight on it is mirrored."""
+MIRRORED = 0.5
+"""Share of that which is seen: pores and fine hairs, which the mesh lacks, swallow the rest."""
 SCATTER_M = np.array([0.0040, 0.0016, 0.0010])
 """How far light travels under skin, red, green, blue, in the body's metres."""
 SCATTERED = 0.35
@@ -48,6 +50,7 @@ def build_skin(tree: Any, scene: SceneSpec) -> None:
         "Base Color": base,
         "Roughness": roughness,
         "IOR": REFRACTION,
+        "Specular IOR Level": MIRRORED / 2,
         "Subsurface Weight": SCATTERED * skin_share,
         "Subsurface Radius": SCATTER_M / SCATTER_M[0],
         "Subsurface Scale": SCATTER_M[0] * scene.scale,
