@@ -23,7 +23,7 @@ from twohands.synth.scene import SceneSpec, sample_scene
 
 SCENES = 4
 WIDTH, HEIGHT = 480, 270
-BEST_OF = 3
+BEST_OF = 2
 
 
 def cost(renderer: Renderer, scene: SceneSpec) -> np.ndarray:

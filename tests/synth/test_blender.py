@@ -21,7 +21,7 @@ pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("bpy") is None, reason="bpy is not installed (extra 'blender', Python 3.11)"
 )
 
-WIDTH, HEIGHT = 240, 135
+WIDTH, HEIGHT = 160, 90
 DRESSED = dataclasses.replace(WILD, sleeves=0.7, gloves=0.5)
 
 
@@ -63,7 +63,7 @@ def test_both_renderers_give_the_same_labels(cycles, raster):
         np.testing.assert_array_equal(mask, b.depth_m > 0)
         np.testing.assert_array_equal(mask, b.alpha > 0)
         assert (b.rgb[~mask] == 0).all()
-    assert part_ious([(a.part_labels, b.part_labels) for a, b in pairs]).min() > 0.99
+    assert part_ious([(a.part_labels, b.part_labels) for a, b in pairs]).min() > 0.97
 
     # Half a pixel aside, the masks would not pass.
     moved = [dataclasses.replace(s, camera=dataclasses.replace(s.camera, cx=s.camera.cx + 0.5)) for s in specs]
@@ -83,8 +83,8 @@ def test_both_renderers_light_alike(cycles, raster):
 def test_a_pixel_shows_what_projects_into_its_middle(cycles):
     """The material that tells labels, here telling positions: with any focal lengths and principal point."""
     scene = scenes(3)[-1]
-    centre = PinholeCamera(180.0, 150.0, 101.3, 80.9, WIDTH, HEIGHT)
-    for camera in (centre, dataclasses.replace(centre, fx=150.0, fy=180.0, cx=140.2, cy=50.1)):
+    centre = PinholeCamera(120.0, 100.0, 67.3, 53.9, WIDTH, HEIGHT)
+    for camera in (centre, dataclasses.replace(centre, fx=100.0, fy=120.0, cx=93.2, cy=33.1)):
         cycles.render(dataclasses.replace(scene, camera=camera))
         bpy = cycles._bpy
         material = bpy.data.materials.new("positions")
@@ -100,7 +100,7 @@ def test_a_pixel_shows_what_projects_into_its_middle(cycles):
         finally:
             layer.material_override = kept
         seen = picture[..., 3] > 0
-        assert seen.sum() > 2000
+        assert seen.sum() > 800
         found = project((picture[seen][:, :3] - 2.0) * [1, -1, -1], camera)
         rows, columns = np.nonzero(seen)
         np.testing.assert_allclose(found, np.stack([columns, rows], axis=1) + 0.5, atol=0.02)
@@ -131,13 +131,16 @@ def test_other_size_is_refused(cycles):
         cycles.render(sample_scene(PAPER, 0, 0))
 
 
-def test_generate_with_blender_says_nothing_of_blenders(tmp_path, capfd):
+def test_generate_with_blender(tmp_path, capfd):
+    """Any number of workers writes the same bytes, and nothing of what Blender reports is passed on."""
     size = ["--config.width", "96", "--config.height", "54"]
-    arguments = ["generate", "static", "--renderer", "blender", "--count", "2", "--workers", "1", *size]
-    assert main([*arguments, "--out", str(tmp_path / "set")]) == 0
-    said = capfd.readouterr()
-    assert "2 instances written" in said.out and not said.err
-    assert "Fra:" not in said.out and "Saved" not in said.out
+    arguments = ["generate", "static", "--renderer", "blender", "--count", "2", *size]
+    for folder, workers in (("set", "1"), ("again", "2")):
+        assert main([*arguments, "--out", str(tmp_path / folder), "--workers", workers]) == 0
+        said = capfd.readouterr()
+        assert "2 instances written" in said.out and not said.err
+        assert "Fra:" not in said.out and "Saved" not in said.out
+    assert (tmp_path / "set" / "index.jsonl").read_bytes() == (tmp_path / "again" / "index.jsonl").read_bytes()
     manifest = json.loads((tmp_path / "set" / "manifest.json").read_text())
     assert manifest["renderer"] == "blender" and "Cycles" in manifest["made_with"][0]["renderer"]
     assert len(Ego3DHands(tmp_path / "set")) == 2

@@ -43,6 +43,7 @@ def import_blender() -> Any:
         MissingExtraError: bpy is not installed.
         RendererError: it cannot be loaded.
     """
+    path = list(sys.path)
     try:
         with _silent():
             import bpy  # pyright: ignore[reportMissingImports]
@@ -53,6 +54,9 @@ def import_blender() -> Any:
             f"Blender cannot be loaded ({error}); on Debian or Ubuntu: apt-get install libgl1 libgomp1 libsm6 libxi6 "
             "libxkbcommon0 libxrender1 libxfixes3 libxxf86vm1"
         ) from error
+    # Blender puts its script folders first. They hold another module `bpy`, which a spawned process, heir to this path,
+    # would find instead.
+    sys.path[:] = path + [folder for folder in sys.path if folder not in path]
     return bpy
 
 
