@@ -37,4 +37,4 @@ class MissingExtraError(TwoHandsError):
 
 
 class RendererError(TwoHandsError):
-    """No OpenGL context can be made on this machine."""
+    """Nothing can be rendered on this machine."""

@@ -12,7 +12,7 @@ import pytest
 from twohands.cli.main import main
 from twohands.cli.progress import RateLog, duration
 from twohands.errors import RendererError
-from twohands.synth.render import raster
+from twohands.synth.render import blender, raster
 
 SMALL = ["--count", "3", "--workers", "1", "--config.width", "128", "--config.height", "72"]
 
@@ -85,8 +85,36 @@ def test_without_opengl_the_package_to_install_is_named(tmp_path, capsys, monkey
         raster.renderer_name()
     for kind in ("static", "frames"):
         assert main(["generate", kind, "--out", str(tmp_path / kind), *SMALL[:4]]) == 2
-        assert "apt-get install libegl1" in one_line(capsys)
+        message = one_line(capsys)
+        assert "apt-get install libegl1" in message and "--renderer blender" in message
         assert not (tmp_path / kind).exists()
+
+
+def test_without_blender_the_extra_is_named(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(blender, "_blender", blender.import_blender)
+    monkeypatch.setitem(sys.modules, "bpy", None)
+    for kind in ("static", "dynamic", "frames"):
+        assert main(["generate", kind, "--renderer", "blender", "--out", str(tmp_path / kind), *SMALL[:4]]) == 2
+        assert "pip install 'twohands[blender]'" in one_line(capsys)
+        assert not (tmp_path / kind).exists()
+
+
+def test_without_blenders_libraries_the_packages_are_named(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(blender, "_blender", blender.import_blender)
+    monkeypatch.delitem(sys.modules, "bpy", raising=False)
+    (tmp_path / "bpy.py").write_text("raise ImportError('libXi.so.6: cannot open shared object file')")
+    monkeypatch.syspath_prepend(tmp_path)
+    assert main(["generate", "static", "--renderer", "blender", "--out", str(tmp_path / "set")]) == 2
+    message = one_line(capsys)
+    assert "libXi.so.6" in message and "apt-get install" in message and "libxi6" in message
+
+
+def test_a_set_keeps_its_renderer(tmp_path, capsys, monkeypatch):
+    assert generate("--out", tmp_path / "set") == 0
+    capsys.readouterr()
+    monkeypatch.setattr(blender, "renderer_name", lambda: "Cycles")
+    assert generate("--out", tmp_path / "set", "--renderer", "blender") == 2
+    assert 'renderer is "raster" there, "blender" here' in one_line(capsys)
 
 
 def test_another_run_is_not_touched(tmp_path, capsys):

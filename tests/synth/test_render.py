@@ -13,7 +13,7 @@ from twohands.synth.body import load_asset, skin
 from twohands.synth.compositing import compose
 from twohands.synth.config import WILD, SynthConfig
 from twohands.synth.render.raster import RasterRenderer
-from twohands.synth.render.surface import surface, vertex_normals
+from twohands.synth.render.surface import posed_vertices, surface, vertex_normals
 from twohands.synth.scene import BARE, sample_scene
 
 CONFIG = SynthConfig(width=480, height=270)
@@ -63,6 +63,18 @@ def test_vertices_project_onto_the_mask_at_their_depth(rendered):
         assert np.percentile(gap, 0.5) > -0.006
         on_surface.append((np.abs(gap) < 0.004).mean())
     assert np.mean(on_surface) > 0.2
+
+
+def test_the_shader_poses_and_dresses_as_numpy_does(renderer):
+    """`posed_vertices`, which the Blender renderer draws, against what the vertex shader wrote."""
+    config = dataclasses.replace(WILD, width=480, height=270, sleeves=1.0, gloves=1.0)
+    for i in range(3):
+        scene = sample_scene(config, 21, i)
+        renderer.render(scene)
+        posed = np.frombuffer(renderer._posed.read(), np.float32).reshape(-1, 14)[:, :3]
+        np.testing.assert_allclose(posed, posed_vertices(scene), atol=2e-6)
+        bare = posed_vertices(dataclasses.replace(scene, clothes=BARE))
+        assert np.abs(bare - posed).max() > 0.5 * scene.clothes.thickness_m
 
 
 def test_masks_and_depth_are_exact_at_pixel_centres(rendered):

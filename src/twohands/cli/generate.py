@@ -56,8 +56,11 @@ class GenerateArgs:
     """ego3dhands: a folder per instance, as the official data; webdataset: tar shards."""
     shard_size: int = 1000
     """Instances per tar shard."""
+    renderer: Literal["raster", "blender"] = "raster"
+    """raster: OpenGL, milliseconds a picture; blender: the same scenes and labels, path-traced by Blender's Cycles,
+    over a hundred times slower (extra 'blender', Python 3.11)."""
     workers: int = 0
-    """Processes; 0 takes all cores."""
+    """Processes; 0 takes all cores: one process each, but for Blender a single one, which uses them all."""
     preset: Literal["paper", "wild"] = "paper"
     """paper: one character and one camera, as in the paper; wild: all kinds of adults, cameras and clothes, hands that
     meet. Settings given as --config.NAME change it."""
@@ -85,11 +88,16 @@ def configured(args: GenerateArgs) -> SynthConfig:
     return dataclasses.replace(PRESETS[args.preset], **given)
 
 
+def workers_of(args: GenerateArgs) -> int:
+    """Number of processes."""
+    return args.workers or (1 if args.renderer == "blender" else os.cpu_count()) or 1
+
+
 def executor_of(args: GenerateArgs) -> Executor:
     """Who does the work: processes of this machine."""
     from twohands.synth.executors import LocalProcesses
 
-    return LocalProcesses(args.workers or os.cpu_count() or 1)
+    return LocalProcesses(workers_of(args))
 
 
 def _static(args: GenerateArgs) -> int:
@@ -97,7 +105,7 @@ def _static(args: GenerateArgs) -> int:
 
     if args.backgrounds is None:
         print("backgrounds: procedural; give photographs with --backgrounds FOLDER")
-    static_set = StaticSet(args.config, args.seed, args.count, args.backgrounds, args.split)
+    static_set = StaticSet(args.config, args.seed, args.count, args.backgrounds, args.split, args.renderer)
     report(write(static_set, args, executor_of(args)), args, len(static_set))
     return 0
 
@@ -152,7 +160,13 @@ def _frames(args: GenerateArgs) -> int:
     config = dataclasses.replace(args.config, width=FRAME_SIZE[0], height=FRAME_SIZE[1])
     with progress_of("frames") as progress:
         build_cache(
-            args.out, config, args.seed, args.count, workers=args.workers or os.cpu_count() or 1, progress=progress
+            args.out,
+            config,
+            args.seed,
+            args.count,
+            workers=workers_of(args),
+            renderer=args.renderer,
+            progress=progress,
         )
     print(f"{args.count} frames in {args.out}; train on them with twohands train STAGE --data {args.out}")
     return 0
@@ -164,7 +178,15 @@ def _dynamic(args: GenerateArgs) -> int:
     if args.backgrounds is None:
         print("backgrounds: procedural rooms; give videos, panoramas or photographs with --backgrounds FOLDER")
     dynamic_set = SequenceSet(
-        args.config, args.motion, args.seed, args.sequences, args.frames, args.fps, args.backgrounds, args.split
+        args.config,
+        args.motion,
+        args.seed,
+        args.sequences,
+        args.frames,
+        args.fps,
+        args.backgrounds,
+        args.split,
+        args.renderer,
     )
     for path, reason in dynamic_set.clips.skipped:
         print(f"background skipped: {path.name}: {reason}")

@@ -245,13 +245,23 @@ def posed_joints(body: Body, transforms: np.ndarray) -> np.ndarray:
     return carried(body.joints, transforms.reshape(*transforms.shape[:-3], 2, BONES_PER_SIDE, 3, 4))
 
 
-def skin(body: Body, transforms: np.ndarray) -> np.ndarray:
-    """(V, 3) vertices after linear blend skinning. The renderer does the same on the graphics side."""
+def skin(body: Body, transforms: np.ndarray, view: np.ndarray | None = None) -> np.ndarray:
+    """Linear blend skinning; the renderer does the same on the graphics side.
+
+    Args:
+        body: the person at rest.
+        transforms: (48, 3, 4) rest-to-posed transforms of the bones.
+        view: (3, 4) transform of what follows no bone but the resting torso; none if None.
+
+    Returns:
+        (V, 3) posed vertices.
+    """
     asset = body.asset
     homogeneous = np.concatenate([body.vertices, np.ones((asset.n_vertices, 1))], axis=1)
     blended = np.einsum("vk,vkab->vab", asset.bone_weight, transforms[asset.bone_index])
     moved = np.einsum("vab,vb->va", blended, homogeneous)
-    return moved + (1 - asset.bone_weight.sum(1, keepdims=True)) * body.vertices
+    resting = body.vertices if view is None else homogeneous @ view.T
+    return moved + (1 - asset.bone_weight.sum(1, keepdims=True)) * resting
 
 
 def part_labels(asset: ArmsAsset) -> np.ndarray:

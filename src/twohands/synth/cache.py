@@ -25,7 +25,7 @@ from twohands.synth.config import SynthConfig
 from twohands.synth.executors import LocalProcesses
 from twohands.synth.manifest import claimed_folder, environment
 from twohands.synth.production import check_room
-from twohands.synth.render.raster import renderer_name
+from twohands.synth.render.choice import RendererName, renderer_version
 from twohands.synth.scene import instance_rng
 from twohands.synth.seeds import stream_seed
 from twohands.synth.stream import SyntheticStream, labelled
@@ -57,6 +57,7 @@ def build_cache(
     count: int,
     *,
     workers: int = 1,
+    renderer: RendererName = "raster",
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
     """Renders `count` frames into `folder`; an interrupted build goes on where it stopped.
@@ -67,6 +68,7 @@ def build_cache(
         seed: of the set.
         count: number of frames.
         workers: processes, each with its own renderer.
+        renderer: who draws.
         progress: called with (frames done, count) now and then.
 
     Raises:
@@ -76,10 +78,11 @@ def build_cache(
     """
     if count < 1:
         raise InputError(f"count must be at least 1, got {count}")
-    identity = {"format": FORMAT, "kind": "frames", "seed": seed, "count": count, "config": asdict(config)}
-    stream = SyntheticStream(config, stream_seed(seed, "frames"), count)
+    identity = {"format": FORMAT, "kind": "frames", "renderer": renderer, "seed": seed, "count": count}
+    identity["config"] = asdict(config)
+    stream = SyntheticStream(config, stream_seed(seed, "frames"), count, renderer_name=renderer)
     layout = _layout(config, count)
-    with claimed_folder(folder, identity, environment(renderer_name())):
+    with claimed_folder(folder, identity, environment(renderer_version(renderer))):
         absent = {name: spec for name, spec in layout.items() if not (folder / f"{name}.npy").exists()}
         check_room(folder, sum(int(np.prod(shape)) * np.dtype(dtype).itemsize for shape, dtype in absent.values()))
         for name, (shape, dtype) in absent.items():

@@ -15,7 +15,7 @@ from twohands.synth.config import SynthConfig
 from twohands.synth.executors import Executor, LocalProcesses
 from twohands.synth.manifest import environment
 from twohands.synth.production import Layout, Made, Outcome, Plan, produce
-from twohands.synth.render.raster import renderer_name
+from twohands.synth.render.choice import RendererName, renderer_version
 from twohands.synth.seeds import Split, stream_seed
 from twohands.synth.stream import SyntheticStream
 from twohands.synth.writer import encode_instance
@@ -36,6 +36,7 @@ class StaticSet:
         count: number of instances.
         backgrounds: folder of background pictures; procedural if None.
         split: part of the set; no two splits share a scene, whatever their seeds.
+        renderer: who draws.
     """
 
     config: SynthConfig
@@ -43,6 +44,7 @@ class StaticSet:
     count: int
     backgrounds: Path | None = None
     split: Split = "train"
+    renderer: RendererName = "raster"
 
     def stream(self) -> SyntheticStream:
         """The instances of the set.
@@ -51,7 +53,7 @@ class StaticSet:
             InputError: the seed is negative, or the background folder is missing, unreadable or empty.
         """
         seed = stream_seed(self.seed, "static", self.split)
-        return SyntheticStream(self.config, seed, self.count, self._backgrounds())
+        return SyntheticStream(self.config, seed, self.count, self._backgrounds(), self.renderer)
 
     def __len__(self) -> int:
         return self.count
@@ -65,6 +67,7 @@ class StaticSet:
         return {
             "kind": "static",
             "split": self.split,
+            "renderer": self.renderer,
             "seed": self.seed,
             "backgrounds": self.stream().backgrounds.name,
             "config": json.loads(json.dumps(asdict(self.config))),
@@ -72,7 +75,7 @@ class StaticSet:
 
     def made_with(self) -> dict[str, str]:
         """See `Production.made_with`."""
-        return environment(renderer_name())
+        return environment(renderer_version(self.renderer))
 
     def expected_bytes(self) -> int:
         """See `Production.expected_bytes`."""

@@ -25,7 +25,7 @@ def environment(renderer: str | None = None) -> dict[str, str]:
     """Versions of everything that the bytes of a picture depend on.
 
     Args:
-        renderer: name and version of the OpenGL driver.
+        renderer: `render.choice.renderer_version`.
     """
     found = {"python": platform.python_version(), "platform": f"{platform.system()} {platform.machine()}"}
     for name in _PACKAGES:

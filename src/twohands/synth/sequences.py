@@ -27,7 +27,7 @@ from twohands.synth.manifest import environment
 from twohands.synth.motion import Arm, HandMotion, MotionConfig, in_picture, plan_motion
 from twohands.synth.pose import ArmAnatomy
 from twohands.synth.production import Made
-from twohands.synth.render.raster import RasterRenderer, renderer_name
+from twohands.synth.render.choice import Renderer, RendererName, open_renderer, renderer_version
 from twohands.synth.scene import (
     SceneSpec,
     moved,
@@ -65,6 +65,7 @@ class SequenceSet:
         fps: frames per second.
         backgrounds: folder of videos, frames, panoramas and stills; procedural rooms if None.
         split: part of the set; no two splits share a sequence, whatever their seeds.
+        renderer: who draws.
     """
 
     config: SynthConfig = field(default_factory=SynthConfig)
@@ -75,6 +76,7 @@ class SequenceSet:
     fps: float = 30.0
     backgrounds: Path | None = None
     split: Split = "train"
+    renderer: RendererName = "raster"
 
     def __post_init__(self) -> None:
         if self.sequences < 1 or self.frames < 1:
@@ -109,6 +111,7 @@ class SequenceSet:
         return {
             "kind": "dynamic",
             "split": self.split,
+            "renderer": self.renderer,
             "seed": self.seed,
             "frames": self.frames,
             "fps": self.fps,
@@ -119,7 +122,7 @@ class SequenceSet:
 
     def made_with(self) -> dict[str, str]:
         """See `production.Production`."""
-        return environment(renderer_name())
+        return environment(renderer_version(self.renderer))
 
     def expected_bytes(self) -> int:
         """See `production.Production`."""
@@ -245,9 +248,9 @@ class SequenceRenderer:
         self._opened = lru_cache(maxsize=1)(self._open)
 
     @cached_property
-    def renderer(self) -> RasterRenderer:
-        """One OpenGL context per process, made when first needed."""
-        return RasterRenderer(self.set.config.width, self.set.config.height)
+    def renderer(self) -> Renderer:
+        """One per process, made when first needed."""
+        return open_renderer(self.set.renderer, self.set.config.width, self.set.config.height)
 
     def _open(self, index: int) -> tuple[Sequence, Clip]:
         sequence = Sequence(self.set, index)

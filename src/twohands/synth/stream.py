@@ -12,7 +12,7 @@ from twohands.synth.backgrounds import Backgrounds, ProceduralBackgrounds
 from twohands.synth.compositing import compose_frame
 from twohands.synth.config import SynthConfig
 from twohands.synth.lighting import lit_by
-from twohands.synth.render.raster import RasterRenderer
+from twohands.synth.render.choice import Renderer, RendererName, open_renderer
 from twohands.synth.scene import instance_rng, sample_scene
 from twohands.synth.sensor import expose, sample_sensor
 from twohands.types import HandSample, RenderedFrame
@@ -29,20 +29,29 @@ class SyntheticStream:
         seed: of the set.
         size: number of instances.
         backgrounds: source of backgrounds; procedural if None.
+        renderer_name: who draws.
 
     Raises (on the first item):
         MissingExtraError, RendererError: no renderer on this machine.
     """
 
-    def __init__(self, config: SynthConfig, seed: int, size: int, backgrounds: Backgrounds | None = None) -> None:
+    def __init__(
+        self,
+        config: SynthConfig,
+        seed: int,
+        size: int,
+        backgrounds: Backgrounds | None = None,
+        renderer_name: RendererName = "raster",
+    ) -> None:
         self.config, self.seed, self.size = config, seed, size
+        self.renderer_name: RendererName = renderer_name
         self.backgrounds = backgrounds or ProceduralBackgrounds()
         self.name = f"synthetic seed {seed}"
 
     @cached_property
-    def renderer(self) -> RasterRenderer:
-        """One OpenGL context per process, made when first needed."""
-        return RasterRenderer(self.config.width, self.config.height)
+    def renderer(self) -> Renderer:
+        """One per process, made when first needed."""
+        return open_renderer(self.renderer_name, self.config.width, self.config.height)
 
     def __getstate__(self) -> dict[str, object]:
         return {key: value for key, value in self.__dict__.items() if key != "renderer"}

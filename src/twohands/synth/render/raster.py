@@ -53,7 +53,8 @@ def create_context() -> Any:
         return moderngl.create_standalone_context(**settings)
     except Exception as error:  # moderngl raises bare Exception for a missing driver
         raise RendererError(
-            f"no OpenGL context ({error}); on Debian or Ubuntu: apt-get install libegl1 libgl1-mesa-dri"
+            f"no OpenGL context ({error}); on Debian or Ubuntu: apt-get install libegl1 libgl1-mesa-dri; "
+            "or render with Blender, slowly: --renderer blender, after pip install 'twohands[blender]' (Python 3.11)"
         ) from error
 
 

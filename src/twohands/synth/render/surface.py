@@ -5,13 +5,14 @@ Everything here depends on the asset alone; normals also on the person.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 
-from twohands.synth.body import bone, load_asset, part_labels
+from twohands.synth.body import bone, load_asset, part_labels, skin
 from twohands.synth.pose import ArmAnatomy, dot, unit
+from twohands.synth.scene import SceneSpec
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,6 +48,22 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     face = (uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx)
     normals = np.stack([np.bincount(corners, np.tile(along, 3), len(vertices)) for along in face], axis=1)
     return normals / np.maximum(np.sqrt(dot(normals, normals)), 1e-12)[:, None]
+
+
+def posed_vertices(scene: SceneSpec) -> np.ndarray:
+    """(V, 3) vertices of a scene, clothes included, camera frame, scaled metres; as `shaders.POSE_VERTEX`."""
+    body, clothes, along = scene.body, scene.clothes, surface().along
+    sleeve = smoothstep(0.0, 0.03, along - clothes.sleeve_from)
+    glove = 1 - smoothstep(-0.03, 0.0, along - clothes.glove_until)
+    thickness = clothes.thickness_m * np.maximum(sleeve, 0.3 * glove)
+    dressed = body.vertices + thickness[:, None] * vertex_normals(body.vertices, body.asset.faces)
+    return skin(replace(body, vertices=dressed), scene.transforms, scene.view) * scene.scale
+
+
+def smoothstep(low: float, high: float, x: np.ndarray) -> np.ndarray:
+    """0 below `low`, 1 above `high`, GLSL's cubic between."""
+    t = np.clip((x - low) / (high - low), 0, 1)
+    return t * t * (3 - 2 * t)
 
 
 @lru_cache(maxsize=1)

@@ -1,0 +1,37 @@
+"""Which renderer draws a set."""
+
+from __future__ import annotations
+
+from typing import Literal, Protocol
+
+from twohands.synth.render import blender, raster
+from twohands.synth.scene import SceneSpec
+from twohands.types import RenderedFrame
+
+RendererName = Literal["raster", "blender"]
+
+
+class Renderer(Protocol):
+    """Draws scenes of one image size."""
+
+    def render(self, scene: SceneSpec) -> RenderedFrame:
+        """Colour, alpha, labels and depth; a pixel has a label exactly where it has depth and alpha."""
+        ...
+
+
+def open_renderer(name: RendererName, width: int, height: int) -> Renderer:
+    """The renderer of that name.
+
+    Raises:
+        MissingExtraError, RendererError: it does not run here.
+    """
+    return blender.BlenderRenderer(width, height) if name == "blender" else raster.RasterRenderer(width, height)
+
+
+def renderer_version(name: RendererName) -> str:
+    """What exactly draws, with its version: pictures depend on it in their last bits.
+
+    Raises:
+        MissingExtraError, RendererError: it does not run here.
+    """
+    return blender.renderer_name() if name == "blender" else raster.renderer_name()
