@@ -71,7 +71,8 @@ def test_the_shader_poses_and_dresses_as_numpy_does(renderer):
     for i in range(3):
         scene = sample_scene(config, 21, i)
         renderer.render(scene)
-        posed = np.frombuffer(renderer._posed.read(), np.float32).reshape(-1, 14)[:, :3]
+        with renderer.ctx:
+            posed = np.frombuffer(renderer._posed.read(), np.float32).reshape(-1, 14)[:, :3]
         np.testing.assert_allclose(posed, posed_vertices(scene), atol=2e-6)
         bare = posed_vertices(dataclasses.replace(scene, clothes=BARE))
         assert np.abs(bare - posed).max() > 0.5 * scene.clothes.thickness_m
