@@ -105,7 +105,7 @@ def test_joints_lie_behind_their_own_part(rendered):
                         gaps.append(joints[joint, 2] - frame.depth_m[row[joint], col[joint]])
     gaps = np.array(gaps)
     assert len(gaps) > 100
-    assert np.percentile(gaps, 2) > -0.001 and np.percentile(gaps, 98) < 0.03
+    assert np.percentile(gaps, 2) > -0.001 and np.percentile(gaps, 98) < 0.04
 
 
 def test_absent_hand_leaves_no_label(rendered, renderer):
@@ -208,7 +208,8 @@ def test_edges_are_smooth(rendered):
 
 def test_wild_hands_are_where_their_labels_say(renderer):
     """A turned and shifted camera, another focal length: visible hand vertices still meet their own depth."""
-    config = dataclasses.replace(WILD, width=480, height=270, sleeves=0.0, gloves=0.0)
+    bare = {"sleeves": 0.0, "gloves": 0.0, "objects": 0.0, "webcam": 0.0, "free_view": 0.0}
+    config = dataclasses.replace(WILD, width=480, height=270, **bare)
     asset = load_asset()
     follows_bones = asset.bone_weight.sum(1) > 0.999  # the torso's share follows the view instead
     seen_share = []
