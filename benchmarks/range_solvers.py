@@ -3,14 +3,17 @@
     twohands eval predict DATA --out ours.npz
     python benchmarks/range_solvers.py ours.npz DATA
 
-Key bone, all joints alike, and all joints weighted by powers of their scores; no network is run. Errors in cm and mm
+Key bone, all joints alike, all joints weighted by powers of their scores, the palm's joints (wrist and knuckles) alone,
+and the weights that the pipeline uses (`range_weights`); no network is run. Errors in cm and mm
 over the hands that every solver places; the interval is a bootstrap over images of the difference to "all joints".
 """
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -18,17 +21,21 @@ from twohands.datasets.opening import open_dataset
 from twohands.evaluation.comparison import compare, without_picture
 from twohands.evaluation.completion import hand_lengths_m
 from twohands.evaluation.predictions import load_predictions
-from twohands.geometry.projection import project_global
+from twohands.geometry.projection import project_global, range_weights
+from twohands.skeleton import PALM
 
-SOLVERS = {
+PALM_ONLY = np.isin(np.arange(21), PALM).astype(float)
+SOLVERS: dict[str, Callable[[np.ndarray], np.ndarray] | None] = {
     "key bone": None,
-    "all joints": 0.0,
-    "weighted by score^0.5": 0.5,
-    "weighted by score": 1.0,
-    "weighted by score^2": 2.0,
-    "weighted by score^4": 4.0,
+    "all joints": np.ones_like,
+    "weighted by score": lambda scores: scores,
+    "weighted by score^2": lambda scores: scores**2,
+    "weighted by score^4": lambda scores: scores**4,
+    "palm only": lambda scores: PALM_ONLY + 0 * scores,
+    "palm 1, fingers 1/4": lambda scores: range_weights(np.ones_like(scores)),
+    "the same x score^2": range_weights,
 }
-"""Exponent of the scores."""
+"""Scores (2, 21) -> weights (2, 21)."""
 RESAMPLES = 2_000
 
 
@@ -38,10 +45,11 @@ def main(path: str, data: str) -> None:
     dataset = open_dataset(data).labels
     labels = [without_picture(dataset[index]) for index in range(len(predictions))]
     errors = {}
-    for name, power in SOLVERS.items():
+    for name, weigh in SOLVERS.items():
         joints_m, valid = np.full_like(predictions.joints_m, np.nan), np.zeros_like(predictions.valid)
         for index, sample in enumerate(labels):
-            options = {"method": "keybone"} if power is None else {"weights": predictions.joint_scores[index] ** power}
+            scores = predictions.joint_scores[index]
+            options: dict[str, Any] = {"method": "keybone"} if weigh is None else {"weights": weigh(scores)}
             pose = project_global(
                 predictions.canonical[index],
                 predictions.joints_px[index],
@@ -66,8 +74,8 @@ def main(path: str, data: str) -> None:
         low, high = np.percentile(means, (2.5, 97.5))
         cm = range_cm[counted]
         print(
-            f"| {name} | {np.median(cm):.2f} | {cm.mean():.2f} | {np.percentile(cm, 90):.2f} | {mm[counted].mean():.1f} "
-            f"| {low:+.2f} to {high:+.2f} |"
+            f"| {name} | {np.median(cm):.2f} | {cm.mean():.2f} | {np.percentile(cm, 90):.2f} "
+            f"| {mm[counted].mean():.1f} | {low:+.2f} to {high:+.2f} |"
         )
 
 

@@ -158,3 +158,32 @@ def test_smoothing_changes_ranges_of_video_only(data: Path, weights: Path, tmp_p
     assert main(["eval", "run", str(data), *options]) == 0
     settings = json.loads(report.read_text())["settings"]
     assert settings["smoothed"] is True
+
+
+def test_budget_of_the_first_images_and_results(data: Path, weights: Path, tmp_path: Path) -> None:
+    """A budget may be about the first images only; the page says so, and shows 0.000 for the global step alone."""
+    ours, budget, out = str(tmp_path / "p.npz"), str(tmp_path / "b.json"), tmp_path / "report"
+    assert main(["eval", "predict", str(data), "--out", ours, "--weights", str(weights)]) == 0
+    assert main(["eval", "budget", str(data), "--weights", str(weights), "--count", "2", "--out", budget]) == 0
+    report = ["eval", "report", str(data), "--predictions", ours, "--names", "ours", "--out", str(out), "--fps", "30"]
+    assert main([*report, "--budget", budget]) == 0
+    assert main(["eval", "sweep", ours, str(data), "--lengths", "3", "--out", str(tmp_path / "s.json")]) == 0
+    page = tmp_path / "results.md"
+    results = ["eval", "results", str(out / "report.json"), "--sweeps", str(tmp_path / "s.json"), "--out", str(page)]
+    assert main(results) == 0
+    text = page.read_text()
+    assert "Over the first 2 images." in text and "| global step alone | 0.000 | 0.000 | 0.000 |" in text
+    assert "| off | - |" in text and "| 3 | 1 |" in text
+    assert main(results) == 2  # never overwritten unasked
+    assert main([*results, "--overwrite"]) == 0
+
+
+def test_results_refuse_what_is_no_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = ["--out", str(tmp_path / "r.md")]
+    assert main(["eval", "results", str(tmp_path / "none.json"), *out]) == 2
+    assert "no such file" in capsys.readouterr().err
+    for text in ("{}", "[]", "nonsense", '{"version": 1}'):
+        (tmp_path / "r.json").write_text(text)
+        assert main(["eval", "results", str(tmp_path / "r.json"), *out]) == 2
+        assert "not a report.json of twohands eval report" in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "r.md").exists()

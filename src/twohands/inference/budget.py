@@ -20,7 +20,7 @@ from twohands.evaluation.completion import hand_lengths_m
 from twohands.evaluation.predictions import Predictions, predict
 from twohands.evaluation.protocols import metrics_of
 from twohands.evaluation.report import Metric
-from twohands.geometry.projection import Method, project_global
+from twohands.geometry.projection import Method, project_global, range_weights
 from twohands.inference.ground_truth import Stage
 from twohands.types import HandSample, PinholeCamera, TwoHandPose
 
@@ -209,9 +209,15 @@ def solved_again(
     """
     joints_m = np.full_like(predictions.joints_m, np.nan)
     valid = np.zeros_like(predictions.valid)
+    weights = range_weights(predictions.joint_scores)
     for index, camera in enumerate(cameras):
         pose = project_global(
-            predictions.canonical[index], predictions.joints_px[index], camera, hand_lengths_m[index], method=method
+            predictions.canonical[index],
+            predictions.joints_px[index],
+            camera,
+            hand_lengths_m[index],
+            method=method,
+            weights=weights[index] if method == "all-joints" else None,
         )
         valid[index] = predictions.present[index] & np.asarray(pose.valid)
         joints_m[index] = np.where(valid[index][:, None, None], pose.joints_m, np.nan)

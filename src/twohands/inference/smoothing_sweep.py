@@ -20,11 +20,11 @@ from twohands.evaluation.predictions import Predictions
 from twohands.evaluation.protocols import metrics_of
 from twohands.evaluation.report import Metric
 from twohands.inference.tracker import DEFAULT_SMOOTHING, HandTracker, RangeSmoothing
-from twohands.types import PinholeCamera
+from twohands.types import HandSample, TwoHandPose
 
 VERSION: Final = 1
-LENGTHS: Final = (5, 8, 10, 15, 20, 30)
-DEGREES: Final = (0, 1, 2, 3)
+LENGTHS: Final = (5, 8, 10, 15, 20)
+DEGREES: Final = (1, 2, 3)
 METRICS: Final = ("range_mean", "range_median", "range_7cm", "cs_mpjpe", "acceleration_radial")
 
 
@@ -90,7 +90,7 @@ class Sweep:
 
 def smoothing_sweep(
     predictions: Predictions,
-    samples: Iterable[Any],
+    samples: Iterable[HandSample],
     *,
     fps: float,
     lengths: Sequence[int] = LENGTHS,
@@ -101,7 +101,7 @@ def smoothing_sweep(
 
     Args:
         predictions: N frames; those of one folder are one sequence.
-        samples: the N labelled frames (`HandSample`) in the same order; each is read once.
+        samples: the N labelled frames in the same order; each is read once.
         fps: frames a second.
         lengths, degrees: settings to try, those with more coefficients than radii left out.
         command: handed through.
@@ -120,7 +120,7 @@ def smoothing_sweep(
     protocol = Protocol(fps=fps)
     raw = replace(predictions, masks_png=(b"",) * len(predictions))
     compare(raw, labels, protocol)  # refuses other data before anything else relies on the labels
-    cameras = [sample.camera for sample in labels]
+    poses = [raw.pose(index, sample.camera) for index, sample in enumerate(labels)]
 
     def row(ranged: Predictions, smoothing: RangeSmoothing | None) -> SweepRow:
         no_pose = replace(ranged, canonical=np.full_like(ranged.canonical, np.nan))  # what smoothing leaves as it is
@@ -128,7 +128,7 @@ def smoothing_sweep(
         setting = (None, None) if smoothing is None else (smoothing.length, smoothing.degree)
         return SweepRow(*setting, {key: metrics[key] for key in METRICS if key in metrics})
 
-    rows = [row(raw, None), *(row(with_smooth_ranges(raw, cameras, smoothing), smoothing) for smoothing in settings)]
+    rows = [row(raw, None), *(row(with_smooth_ranges(raw, poses, smoothing), smoothing) for smoothing in settings)]
     return Sweep(
         predictions.dataset,
         predictions.dataset_id,
@@ -142,25 +142,24 @@ def smoothing_sweep(
 
 
 def with_smooth_ranges(
-    predictions: Predictions, cameras: Sequence[PinholeCamera], smoothing: RangeSmoothing = DEFAULT_SMOOTHING
+    predictions: Predictions, poses: Sequence[TwoHandPose], smoothing: RangeSmoothing = DEFAULT_SMOOTHING
 ) -> Predictions:
     """What the tracker makes of predictions, sequence by sequence.
 
     Args:
         predictions: N frames; those of one folder are one sequence.
-        cameras: N intrinsics.
+        poses: the same as poses (`Predictions.pose`).
         smoothing: the setting.
 
     Returns:
         Predictions with other `joints_m` and `valid`.
     """
     joints_m, valid = predictions.joints_m.copy(), predictions.valid.copy()
-    bare = replace(predictions, masks_png=(b"",) * len(predictions))
     for frames in sequences(predictions.sources):
         tracker = HandTracker(smoothing)
         for number, index in enumerate(frames):
-            pose = tracker.update(replace(bare.pose(index, cameras[index]), index=number))
+            pose = tracker.update(replace(poses[index], index=number))
             for side, hand in enumerate(pose.hands):
-                valid[index, side] = bool(hand.valid) and hand.present
+                valid[index, side] = hand.present and bool(hand.valid)
                 joints_m[index, side] = np.nan if hand.joints_m is None else hand.joints_m
     return replace(predictions, joints_m=joints_m, valid=valid)
