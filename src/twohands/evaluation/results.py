@@ -93,11 +93,12 @@ def _dataset(summary: Summary) -> list[str]:
     lines += [*markdown_table(comparison_table(summary)), ""]
     if summary.kind == "ego3dhands":
         lines += [GENERATED_CAVEAT, ""]
-    if caveats := list(dict.fromkeys(_caveat(number) for number in summary.published if number.caveat)):
+    printed = [(summary.metric_name(number.metric), number) for number in summary.published]
+    if caveats := list(dict.fromkeys(f"- {name}: {number.caveat}." for name, number in printed if number.caveat)):
         lines += ["Before comparing with the paper:", "", *caveats, ""]
-    if others := [number for number in summary.published if not number.system.startswith("paper")]:
+    if others := [(name, number) for name, number in printed if not number.system.startswith("paper")]:
         table = [["printed by others", "metric", "value"]]
-        table += [[number.system, number.metric, f"{number.printed} {number.unit}".strip()] for number in others]
+        table += [[number.system, name, f"{number.printed} {number.unit}".strip()] for name, number in others]
         lines += [*markdown_table(table), ""]
     if table := summary.common_table():
         lines += ["### Over the hands that every system found", "", *markdown_table(table), ""]
@@ -131,10 +132,6 @@ def _printed(numbers: Sequence[Published]) -> str:
     """The paper's numbers for one metric, each with what it is about where there are several kinds; "" for none."""
     kinds = [number.system.removeprefix("paper").strip(" ,+") for number in numbers]
     return "; ".join(f"{n.printed} ({kind})" if kind else n.printed for n, kind in zip(numbers, kinds, strict=True))
-
-
-def _caveat(number: Published) -> str:
-    return f"- {number.metric}: {number.caveat}."
 
 
 def _setting(setting: dict[str, Any]) -> str:

@@ -191,7 +191,7 @@ class Summary:
         table = [["metric", "published", "by", *(system.name for system in self.systems), "before comparing"]]
         for number in self.published:
             ours = [_value(system.report, number.metric) for system in self.systems]
-            name = self._name(number.metric)
+            name = self.metric_name(number.metric)
             printed = number.printed + (f" {number.unit}" if number.unit else "")
             table.append([name, printed, number.system, *ours, number.caveat])
         return table
@@ -275,7 +275,8 @@ class Summary:
             keys.update((metric.key, None) for metric in system.report.metrics)
         return list(keys)
 
-    def _name(self, key: str) -> str:
+    def metric_name(self, key: str) -> str:
+        """Name for people of a metric's key."""
         for system in self.systems:
             for metric in system.report.metrics:
                 if metric.key == key:
