@@ -97,4 +97,6 @@ def test_refused() -> None:
     with pytest.raises(InputError, match="other data"):
         smoothing_sweep(predicted(samples), others, fps=30)
     with pytest.raises(InputError, match="length must be at least 1"):
-        smoothing_sweep(predicted(samples), samples, fps=30, lengths=(0,), degrees=(-1,))
+        smoothing_sweep(predicted(samples), samples, fps=30, lengths=(5, 0))
+    with pytest.raises(InputError, match="no setting to try"):
+        smoothing_sweep(predicted(samples), samples, fps=30, lengths=(2,), degrees=(2, 3))

@@ -115,7 +115,9 @@ def smoothing_sweep(
     videos = sequences(predictions.sources)
     if max(len(frames) for frames in videos) < 3:
         raise InputError("no folder holds three frames or more: smoothing needs video, one folder a sequence")
-    settings = [RangeSmoothing(n, degree) for n in lengths for degree in degrees if degree < n]
+    settings = [RangeSmoothing(n, degree) for n in lengths for degree in degrees if n < 1 or degree < n]
+    if not settings:
+        raise InputError(f"no setting to try: every degree of {degrees} needs a longer queue than those of {lengths}")
     labels = [without_picture(sample) for sample, _ in zip(samples, predictions.sources, strict=False)]
     protocol = Protocol(fps=fps)
     raw = replace(predictions, masks_png=(b"",) * len(predictions))
