@@ -20,6 +20,8 @@ WRIST: Final = 0
 ROOT: Final = 9
 """Root joint: the middle finger's knuckle (mMCP), origin of the canonical frame."""
 LITTLE_MCP: Final = 17
+PALM: Final = (WRIST, 5, ROOT, 13, LITTLE_MCP)
+"""Wrist and the four fingers' knuckles, which hardly move against each other."""
 FINGERTIPS: Final = (4, 8, 12, 16, 20)
 
 PARENTS: Final = (-1, 0, 1, 2, 3, 0, 5, 6, 7, 0, 9, 10, 11, 0, 13, 14, 15, 0, 17, 18, 19)

@@ -95,12 +95,10 @@ def test_budget_and_report(data: Path, weights: Path, tmp_path: Path, capsys: py
         assert first["metrics"][method]["missed"] == 0
     assert main(["eval", "predict", str(data), "--out", ours, "--weights", str(weights)]) == 0
     arguments = ["eval", "report", str(data), "--predictions", ours, "--names", "ours", "--out", str(out)]
-    markdown = tmp_path / "results.md"
-    assert main([*arguments, "--budget", str(budget), "--markdown", str(markdown), "--note", "tiny"]) == 0
+    assert main([*arguments, "--budget", str(budget), "--note", "tiny"]) == 0
     content = json.loads((out / "report.json").read_text())
     assert content["kind"] == "ego3dhands" and content["systems"][0]["name"] == "ours" and content["notes"] == ["tiny"]
-    text = markdown.read_text()
-    assert text == (out / "report.md").read_text()
+    text = (out / "report.md").read_text()
     assert "| global step alone | 0.000 | 0.000 | 0.000 | 0.000 / 0.000 | 0.000 / 0.000 | 0 |" in text
     assert "0.955" in text and "> tiny" in text
     page = (out / "report.html").read_text()
@@ -129,7 +127,7 @@ def test_report_refuses_what_does_not_fit(
     refused("not an error budget", "--budget", str(tmp_path / "b.json"))
     (tmp_path / "b.json").write_text('{"version": 9}')
     refused("budget of version 1, got 9", "--budget", str(tmp_path / "b.json"))
-    assert main(["eval", "budget", str(data / "0"), "--weights", str(weights), "--out", str(tmp_path / "c.json")]) == 0
+    assert main(["eval", "budget", str(data / "1"), "--weights", str(weights), "--out", str(tmp_path / "c.json")]) == 0
     refused("the budget is of other data", "--budget", str(tmp_path / "c.json"))
     refused("no such file", files=(str(tmp_path / "none.npz"),))
 
@@ -160,3 +158,32 @@ def test_smoothing_changes_ranges_of_video_only(data: Path, weights: Path, tmp_p
     assert main(["eval", "run", str(data), *options]) == 0
     settings = json.loads(report.read_text())["settings"]
     assert settings["smoothed"] is True
+
+
+def test_budget_of_the_first_images_and_results(data: Path, weights: Path, tmp_path: Path) -> None:
+    """A budget may be about the first images only; the page says so, and shows 0.000 for the global step alone."""
+    ours, budget, out = str(tmp_path / "p.npz"), str(tmp_path / "b.json"), tmp_path / "report"
+    assert main(["eval", "predict", str(data), "--out", ours, "--weights", str(weights)]) == 0
+    assert main(["eval", "budget", str(data), "--weights", str(weights), "--count", "2", "--out", budget]) == 0
+    report = ["eval", "report", str(data), "--predictions", ours, "--names", "ours", "--out", str(out), "--fps", "30"]
+    assert main([*report, "--budget", budget]) == 0
+    assert main(["eval", "sweep", ours, str(data), "--lengths", "3", "--out", str(tmp_path / "s.json")]) == 0
+    page = tmp_path / "results.md"
+    results = ["eval", "results", str(out / "report.json"), "--sweeps", str(tmp_path / "s.json"), "--out", str(page)]
+    assert main(results) == 0
+    text = page.read_text()
+    assert "Over the first 2 images." in text and "| global step alone | 0.000 | 0.000 | 0.000 |" in text
+    assert "| off | - |" in text and "| 3 | 1 |" in text
+    assert main(results) == 2  # never overwritten unasked
+    assert main([*results, "--overwrite"]) == 0
+
+
+def test_results_refuse_what_is_no_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = ["--out", str(tmp_path / "r.md")]
+    assert main(["eval", "results", str(tmp_path / "none.json"), *out]) == 2
+    assert "no such file" in capsys.readouterr().err
+    for text in ("{}", "[]", "nonsense", '{"version": 1}'):
+        (tmp_path / "r.json").write_text(text)
+        assert main(["eval", "results", str(tmp_path / "r.json"), *out]) == 2
+        assert "not a report.json of twohands eval report" in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "r.md").exists()

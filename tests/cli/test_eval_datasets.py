@@ -6,13 +6,15 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from tests.datasets import fakes, test_freihand, test_interhand, test_rhd, test_stb
 from tests.oracles import write_tiny_weights
 
 from twohands.cli.main import main
 from twohands.datasets.opening import DatasetOptions, detect_kind, open_dataset
-from twohands.errors import InputError
+from twohands.errors import DataFormatError, InputError
+from twohands.synth.sinks import ShardSink
 
 STAGES = ["presence", "boxes", "joints-2d", "heatmaps", "canonical"]
 
@@ -46,11 +48,11 @@ def scores(data: Path, weights: Path, report: Path, *options: str) -> dict[str, 
     return {metric["key"]: metric for metric in json.loads(report.read_text())["metrics"]}
 
 
-def check_perfect(metrics: dict[str, dict], hands: int) -> None:
+def check_perfect(metrics: dict[str, dict], hands: int, mm: float = 2e-3) -> None:
     for key in ("presence_accuracy", "box_accuracy", "direction_1deg", "range_3cm", "auc_20_50_spherical"):
         assert metrics[key]["value"] == pytest.approx(1), key
     for key in ("error_2d_mean", "error_3d_spherical_mean", "pa_mpjpe", "bone_length", "range_mean", "cs_mpjpe"):
-        assert metrics[key]["value"] == pytest.approx(0, abs=2e-3), key
+        assert metrics[key]["value"] == pytest.approx(0, abs=mm), key
         assert metrics[key]["count"] == hands, key
     assert metrics["missed"]["value"] == 0 and metrics["failure_100mm"]["value"] == 0
 
@@ -69,6 +71,17 @@ class TestTrueSamples:
     def test_ego3dhands(self, shared_data: Path, tmp_path: Path, weights: Path) -> None:
         check_perfect(scores(shared_data / "official" / "ego3dhands", weights, tmp_path / "r.json"), 2)
 
+    def test_rhd(self, shared_data: Path, tmp_path: Path, weights: Path) -> None:
+        """Labels are rounded, and only one hand of a picture may be labelled."""
+        test_rhd.write_true_sample(shared_data / "official" / "rhd", tmp_path / "data")
+        options = ["--joints", "all"]
+        check_perfect(scores(tmp_path / "data", weights, tmp_path / "r.json", *options), 3, mm=0.2)
+
+    def test_freihand(self, shared_data: Path, tmp_path: Path, weights: Path) -> None:
+        """The sample has pictures and 2D labels only: here its hands lie flat, 0.6 m away, on their own rays."""
+        test_freihand.write_true_sample(shared_data / "official" / "freihand", tmp_path / "data")
+        check_perfect(scores(tmp_path / "data", weights, tmp_path / "r.json"), 8)
+
     def test_interhand(self, shared_data: Path, tmp_path: Path, weights: Path) -> None:
         source = shared_data / "official" / "interhand2.6m"
         folder = tmp_path / "data" / "annotations" / "test"
@@ -79,6 +92,42 @@ class TestTrueSamples:
         (tmp_path / "data" / "images").mkdir()
         (tmp_path / "data" / "images" / "test").symlink_to(source, target_is_directory=True)
         check_perfect(scores(tmp_path / "data", weights, tmp_path / "r.json"), 6)
+
+
+def test_shards_score_as_folders(tmp_path: Path, weights: Path) -> None:
+    """The same instances in folders and in tar shards have one fingerprint: either scores the other's predictions."""
+    for name in ("00000", "00001", "00002"):
+        fakes.write_instance(tmp_path / "folders" / name, right=name != "00001")
+    (tmp_path / "shards").mkdir()
+    shards = ShardSink(tmp_path / "shards", ["00000", "00001", "00002"], 2)
+    for name in ("00000", "00001", "00002"):
+        folder = tmp_path / "folders" / name
+        shards.write(name, {path.name: path.read_bytes() for path in folder.iterdir()})
+    shards.close()
+    assert detect_kind(tmp_path / "shards") == "ego3dhands"
+    predictions = str(tmp_path / "p.npz")
+    assert main(["eval", "predict", str(tmp_path / "shards"), "--weights", str(weights), "--out", predictions]) == 0
+    for kind in ("shards", "folders"):
+        assert (
+            main(["eval", "score", predictions, str(tmp_path / kind), "--report", str(tmp_path / f"{kind}.json")]) == 0
+        )
+    assert (tmp_path / "shards.json").read_text() == (tmp_path / "folders.json").read_text()
+    check_perfect(scores(tmp_path / "shards", weights, tmp_path / "r.json"), 5)
+
+
+def test_scoring_reads_no_pictures(tmp_path: Path) -> None:
+    """Labels come without picture and depth, at the picture's size; everything else is the same."""
+    _ego(tmp_path / "data")
+    opened = open_dataset(tmp_path / "data")
+    whole, bare = opened.samples[0], opened.labels[0]
+    assert bare.image.shape == whole.image.shape and not bare.image.any() and whole.image.any()
+    assert bare.depth_m is None and whole.depth_m is None
+    np.testing.assert_array_equal(bare.labels, whole.labels)
+    np.testing.assert_array_equal(bare.joints_m, whole.joints_m)
+    assert bare.camera == whole.camera
+    (tmp_path / "data" / "0" / "color_new.png").write_bytes(b"")
+    with pytest.raises(DataFormatError, match=r"color_new\.png: zero bytes"):
+        open_dataset(tmp_path / "data").labels[0]
 
 
 def test_rules_follow_the_data_set(tmp_path: Path) -> None:

@@ -86,6 +86,24 @@ def test_labels_that_do_not_fit_are_named(tmp_path: Path) -> None:
         FreiHAND(tmp_path)
 
 
+def write_true_sample(source: Path, root: Path) -> None:
+    """Pictures (linked) and 2D labels of the true sample in FreiHAND's layout below `root`.
+
+    K and 3D are not in it: every hand is made flat, 0.6 m away, on the rays of its 2D labels.
+    """
+    labels = json.loads((source / "test_freihand.json").read_text())["annotations"]
+    files = sorted(source.glob("*.jpg"))
+    by_number = {a["image_id"]: np.reshape(a["keypoints"], (21, 3))[:, :2] for a in labels}
+    (root / "evaluation" / "rgb").mkdir(parents=True)
+    hands = []
+    for index, path in enumerate(files):
+        slopes = (by_number[int(path.stem)] - np.array(K)[:2, 2]) / np.diag(K)[:2]
+        hands.append((0.6 * np.column_stack([slopes, np.ones(21)])).tolist())
+        (root / "evaluation" / "rgb" / f"{index:08d}.jpg").symlink_to(path)
+    (root / "evaluation_xyz.json").write_text(json.dumps(hands))
+    (root / "evaluation_K.json").write_text(json.dumps([K] * len(files)))
+
+
 class TestTrueSample:
     """Eight true pictures with 2D labels in the data set's own order (an extract without K and 3D)."""
 

@@ -191,6 +191,27 @@ class TestPickle:
             read_number_pickle(tmp_path / "a.pickle")
 
 
+def write_true_sample(source: Path, root: Path) -> None:
+    """The true sample in RHD's own layout below `root`; its pictures are linked."""
+    content = json.loads((source / "test_rhd.json").read_text())
+    annotations, masks = {}, {}
+    for picture, hand in zip(content["images"], content["annotations"], strict=True):
+        first = 0 if hand["hand_type"] == "left" else 21
+        xyz, uv_vis, mask = np.ones((42, 3)), np.zeros((42, 3)), np.zeros((320, 320), np.uint8)
+        xyz[first : first + 21] = np.array(hand["joint_cam"]) / 1e3
+        uv_vis[first : first + 21] = hand["keypoints"]
+        for u, v, _ in hand["keypoints"]:
+            mask[int(v), int(u)] = 17 if first == 0 else 33
+        k = np.diag([*picture["cam_param"]["focal"], 1.0])
+        k[:2, 2] = picture["cam_param"]["princpt"]
+        annotations[picture["id"]], masks[picture["id"]] = {"xyz": xyz, "uv_vis": uv_vis, "K": k}, mask
+    write_rhd(root, annotations, masks)
+    for number in masks:
+        path = root / "evaluation" / "color" / f"{number:05d}.png"
+        path.unlink()
+        path.symlink_to(source / path.name)
+
+
 class TestTrueSample:
     """Three true hands, published as JSON with one hand each; brought into RHD's own layout, numbers unchanged.
 
@@ -199,24 +220,7 @@ class TestTrueSample:
 
     @pytest.fixture
     def dataset(self, shared_data: Path, tmp_path: Path) -> RHD:
-        source = shared_data / "official" / "rhd"
-        content = json.loads((source / "test_rhd.json").read_text())
-        annotations, masks = {}, {}
-        for picture, hand in zip(content["images"], content["annotations"], strict=True):
-            first = 0 if hand["hand_type"] == "left" else 21
-            xyz, uv_vis, mask = np.ones((42, 3)), np.zeros((42, 3)), np.zeros((320, 320), np.uint8)
-            xyz[first : first + 21] = np.array(hand["joint_cam"]) / 1e3
-            uv_vis[first : first + 21] = hand["keypoints"]
-            for u, v, _ in hand["keypoints"]:
-                mask[int(v), int(u)] = 17 if first == 0 else 33
-            k = np.diag([*picture["cam_param"]["focal"], 1.0])
-            k[:2, 2] = picture["cam_param"]["princpt"]
-            annotations[picture["id"]], masks[picture["id"]] = {"xyz": xyz, "uv_vis": uv_vis, "K": k}, mask
-        write_rhd(tmp_path, annotations, masks)
-        for number in masks:
-            path = tmp_path / "evaluation" / "color" / f"{number:05d}.png"
-            path.unlink()
-            path.symlink_to(source / path.name)
+        write_true_sample(shared_data / "official" / "rhd", tmp_path)
         return RHD(tmp_path)
 
     def test_hands_are_where_they_belong(self, dataset: RHD) -> None:

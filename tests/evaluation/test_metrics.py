@@ -224,6 +224,13 @@ class TestCameraSpace:
         errors = m.spherical_errors([[1, np.sqrt(0.5), np.sqrt(0.5)]], [[0, 0, 1]], [True])
         np.testing.assert_allclose(errors[0, :3], [45, 45, 60])
 
+    def test_errors_have_no_sign(self) -> None:
+        """Up and left of the truth, and nearer, costs what down and right of it, and farther, costs."""
+        truth, predicted = np.array([[0.0, 0.0, 1.0]] * 2), np.array([[0, -1.0, 1.0], [-0.5, 0, 0.5]])
+        errors = m.spherical_errors(predicted, truth, [True, True])
+        np.testing.assert_allclose(errors[:, :3], [[45, 0, 45], [0, 45, 45]], atol=1e-12)
+        np.testing.assert_allclose(errors[:, 3], [np.sqrt(2) - 1, 1 - np.sqrt(1 / 2)])
+
     def test_angles_wrap_around(self) -> None:
         """Just below and just above the ray straight back: 2 degrees apart, not 358."""
         angle = np.radians(179)

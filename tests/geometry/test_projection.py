@@ -10,7 +10,7 @@ from tests.builders import CENTRED_CAMERA, OFF_CENTRE_CAMERA, random_hands, sees
 from twohands.errors import InputError
 from twohands.geometry.camera import project, unproject
 from twohands.geometry.canonical import canonical_from_camera
-from twohands.geometry.projection import canonical_xy_from_rays, consistent_joints_px, project_global
+from twohands.geometry.projection import canonical_xy_from_rays, consistent_joints_px, project_global, range_weights
 from twohands.skeleton import LITTLE_MCP, ROOT, WRIST
 from twohands.types import PinholeCamera
 
@@ -310,3 +310,30 @@ def test_gradients_of_the_loss_target():
     assert torch.autograd.gradcheck(
         lambda pixels, z: canonical_xy_from_rays(unproject(pixels, CENTRED_CAMERA), distance, z), arguments, atol=1e-6
     )
+
+
+def test_range_weights_by_hand():
+    """Wrist and knuckles 1, fingers 1/4, times score^2; nothing said counts as 1, nothing counts less than 0.05^2."""
+    scores = np.full(21, 0.5)
+    scores[[0, 1, 5, 6, 2]] = 1.0, 1.0, 0.0, 0.0, np.nan
+    weights = range_weights(scores)
+    np.testing.assert_allclose(weights[[0, 1, 5, 6, 2]], [1, 1 / 4, 0.05**2, 0.05**2 / 4, 1 / 4])
+    np.testing.assert_allclose(weights[[9, 13, 17]], 1 / 4)  # 0.5^2
+    np.testing.assert_allclose(weights[[3, 10, 20]], 1 / 16)
+    assert range_weights(np.zeros((2, 3, 21))).shape == (2, 3, 21)
+
+
+def test_weights_keep_a_doubtful_finger_out_of_the_range():
+    """A fingertip 20 px off moves the range; with a score of 0 it hardly does."""
+    rng = np.random.default_rng(3)
+    joints_m, joints_px, length = random_hands(20, CENTRED_CAMERA, rng)
+    canonical = canonical_from_camera(joints_m).joints
+    radius = np.linalg.norm(joints_m[:, ROOT], axis=-1)
+    joints_px[:, 8] += 20.0
+    scores = np.ones((20, 21))
+    scores[:, 8] = 0.0
+    alike, weighted = (
+        np.abs(project_global(canonical, joints_px, CENTRED_CAMERA, length, weights=w).radius_m - radius)
+        for w in (None, range_weights(scores))
+    )
+    assert weighted.max() < 0.02 * alike.max() and (weighted < alike).all()

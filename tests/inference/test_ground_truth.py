@@ -105,7 +105,7 @@ def drawn_budget(count: int = 2, scale: float = 1.0):
 
         return estimate
 
-    return error_budget(lambda _: iter(samples), estimator_of, dataset="drawn", weights="oracle").to_dict()
+    return error_budget(iter(samples), estimator_of, dataset="drawn", weights="oracle").to_dict()
 
 
 def test_the_global_step_alone_costs_nothing() -> None:

@@ -2,7 +2,8 @@
 
 `predict` runs the networks and writes a predictions file, `score` scores such a file without any network, `run` does
 both and keeps nothing unless asked to; `import` reads other systems' predictions; `budget` says what each stage costs;
-`report` sets predictions side by side. docs/evaluation.md describes metrics, protocols and files.
+`sweep` tries settings of the range smoothing; `report` sets predictions side by side; `results` makes one page of
+finished reports. docs/evaluation.md describes metrics, protocols and files.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias, TypeVar
 
 import tyro
 from rich.console import Console
@@ -25,10 +26,12 @@ from rich.table import Table
 from twohands.cli.output import check_output_folder, write_file
 from twohands.datasets.base import HandDataset
 from twohands.datasets.opening import DatasetOptions, OpenedDataset, open_dataset
+from twohands.datasets.read_ahead import read_ahead
 from twohands.errors import DataFormatError, InputError
 from twohands.evaluation.comparison import Comparison, Protocol, compare
 from twohands.evaluation.importing import import_predictions, read_foreign
 from twohands.evaluation.predictions import (
+    Fingerprint,
     Predictions,
     check_predictions_path,
     load_predictions,
@@ -37,18 +40,22 @@ from twohands.evaluation.predictions import (
 )
 from twohands.evaluation.protocols import evaluate
 from twohands.evaluation.report import EvaluationReport, table_row
+from twohands.evaluation.results import results_page, sweep_findings, sweep_table
 from twohands.evaluation.summary import Summary, budget_costs, budget_results, is_number, summarise
 from twohands.evaluation.summary import Table as TextTable
 from twohands.inference.budget import STUDIES, Study, error_budget, studies_without_masks
 from twohands.inference.budget import VERSION as BUDGET_VERSION
 from twohands.inference.estimator import HandEstimator
 from twohands.inference.ground_truth import HeatmapTargets, Stage, TruthfulEstimator
+from twohands.inference.smoothing_sweep import DEGREES, LENGTHS, smoothing_sweep
+from twohands.inference.smoothing_sweep import VERSION as SWEEP_VERSION
 from twohands.inference.tracker import HandTracker
 from twohands.inference.weights import DEFAULT_PRESET, NETWORK_NAMES, preset_folder
 from twohands.peers.base import Handedness
 from twohands.peers.mediapipe_hands import MediaPipeHands, Placement
 from twohands.types import HandSample, TwoHandPose
 
+Read = TypeVar("Read")
 DatasetPath: TypeAlias = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DATASET")]
 PredictionsPath: TypeAlias = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="PREDICTIONS")]
 Data: TypeAlias = Annotated[DatasetOptions, tyro.conf.arg(name="")]
@@ -192,8 +199,6 @@ class Report:
     rules: ScoringRules = field(default_factory=Rules)
     budget: Path | None = None
     """Error budget to include, from `eval budget --out`."""
-    markdown: Path | None = None
-    """Write the Markdown there as well: docs/results.md is made like this."""
     cases: int = 6
     """How many of the worst hands to show, and of the missed and invented ones."""
     note: tuple[str, ...] = ()
@@ -202,7 +207,44 @@ class Report:
     """Replace an existing report."""
 
 
-def run(args: Predict | Score | Run | Import | Budget | Report) -> int:
+@dataclass(frozen=True)
+class Sweep:
+    """Try settings of the range smoothing on predictions of video; no network is run."""
+
+    predictions: PredictionsPath
+    """Predictions file, made without --smooth; the frames of one folder are one sequence."""
+    dataset: DatasetPath
+    """The dataset it was made from."""
+    data: Data = field(default_factory=DatasetOptions)
+    fps: float = 30.0
+    """Frames a second."""
+    lengths: tuple[int, ...] = LENGTHS
+    """Queue lengths, in frames."""
+    degrees: tuple[int, ...] = DEGREES
+    """Degrees of the polynomial."""
+    out: Path | None = None
+    """Write the sweep there as JSON, for `eval results --sweeps`."""
+    overwrite: bool = False
+    """Replace an existing file."""
+
+
+@dataclass(frozen=True)
+class Results:
+    """Make one Markdown page of finished reports and sweeps; docs/results.md is made like this."""
+
+    reports: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="REPORT")]
+    """Files report.json of `eval report`, one section each."""
+    out: Path
+    """Markdown file to write."""
+    sweeps: tuple[Path, ...] = ()
+    """Files of `eval sweep --out`."""
+    note: tuple[str, ...] = ()
+    """Remarks for the reader."""
+    overwrite: bool = False
+    """Replace an existing page."""
+
+
+def run(args: Predict | Score | Run | Import | Budget | Report | Sweep | Results) -> int:
     """Carry out `twohands eval`."""
     match args:
         case Predict():
@@ -213,6 +255,10 @@ def run(args: Predict | Score | Run | Import | Budget | Report) -> int:
             return _run_budget(args)
         case Report():
             return _run_report(args)
+        case Sweep():
+            return _run_sweep(args)
+        case Results():
+            return _run_results(args)
         case _:
             return _run_score(args)
 
@@ -235,7 +281,7 @@ def _run_score(args: Score | Run) -> int:
         predictions = _predict(dataset, args.system, args.count)
     assert predictions is not None
     report = evaluate(
-        predictions, _samples(dataset.samples, len(predictions), "scoring"), _protocol(dataset, args.rules)
+        predictions, _samples(dataset.labels, len(predictions), "scoring"), _protocol(dataset, args.rules)
     )
     _print_report(report)
     if len(predictions) < len(dataset.samples):
@@ -252,7 +298,7 @@ def _run_import(args: Import) -> int:
     if args.hand_length_cm is not None and not args.hand_length_cm > 0:
         raise InputError(f"--hand-length-cm must be above 0, got {args.hand_length_cm}")
     foreign = read_foreign(args.foreign)
-    samples = open_dataset(args.dataset, args.data).samples
+    samples = open_dataset(args.dataset, args.data).labels
     predictions = import_predictions(
         foreign,
         _samples(samples, _count(args.count, samples), "importing"),
@@ -273,19 +319,21 @@ def _run_budget(args: Budget) -> int:
     estimator = HandEstimator.from_preset(args.weights)
     targets = HeatmapTargets.from_folder(preset_folder(args.weights))
     has_labels = all(samples[index].labels is not None for index in {0, count - 1})
+    studies = STUDIES if has_labels else studies_without_masks()
     notes = () if has_labels else ("No part labels: masks are estimated in every study.",)
 
     def estimator_of(study: Study) -> Callable[[HandSample], TwoHandPose]:
         return TruthfulEstimator(estimator, study.truth, targets)
 
     budget = error_budget(
-        lambda doing: _samples(samples, count, doing),
+        _samples(samples, count, f"{len(studies)} studies"),
         estimator_of,
         dataset=samples.name,
         weights=_weights_id(estimator, args.weights),
-        studies=STUDIES if has_labels else studies_without_masks(),
+        studies=studies,
         protocol=_protocol(dataset, args.rules),
         notes=notes,
+        command=_command(),
     ).to_dict()
     _print_table(f"{samples.name}: {count} images, weights {budget['weights']}", budget_results(budget))
     _print_table("what each stage costs, all joints", budget_costs(budget))
@@ -301,8 +349,6 @@ def _run_report(args: Report) -> int:
     from twohands.visualization.evaluation_page import render_page, typical_images, worst_hands
 
     check_output_folder(args.out, overwrite=args.overwrite)
-    if args.markdown is not None:
-        _refuse_existing(args.markdown, args.overwrite, "--markdown")
     files = [load_predictions(path) for path in args.predictions]
     if not files:
         raise InputError("--predictions needs at least one file")
@@ -317,8 +363,8 @@ def _run_report(args: Report) -> int:
     protocol = _protocol(dataset, args.rules)
     compared: list[tuple[str, Predictions, Comparison]] = []
     for name, file in zip(names, files, strict=True):
-        compared.append((name, file, compare(file, _samples(dataset.samples, len(file), f"scoring {name}"), protocol)))
-    budget = None if args.budget is None else _read_budget(args.budget, files[0])
+        compared.append((name, file, compare(file, _samples(dataset.labels, len(file), f"scoring {name}"), protocol)))
+    budget = None if args.budget is None else _read_budget(args.budget, files[0], dataset.labels)
     notes = args.note
     if len(files[0]) < len(dataset.samples):
         notes = (*notes, f"Only the first {len(files[0])} of {len(dataset.samples)} images.")
@@ -338,15 +384,64 @@ def _run_report(args: Report) -> int:
     return 0
 
 
+def _run_sweep(args: Sweep) -> int:
+    if args.out is not None:
+        _refuse_existing(args.out, args.overwrite, "--out")
+    predictions = load_predictions(args.predictions)
+    labels = open_dataset(args.dataset, args.data).labels
+    sweep = smoothing_sweep(
+        predictions,
+        _samples(labels, len(predictions), "reading labels"),
+        fps=args.fps,
+        lengths=args.lengths,
+        degrees=args.degrees,
+        command=_command(),
+    ).to_dict()
+    _print_table(f"{sweep['dataset']}: {sweep['frames']} frames, weights {sweep['weights']}", sweep_table(sweep))
+    for line in sweep_findings(sweep):
+        print(line)
+    if args.out is not None:
+        write_file(args.out, json.dumps(sweep, indent=1).encode())
+        print(f"sweep written to {args.out}")
+    return 0
+
+
+def _run_results(args: Results) -> int:
+    _refuse_existing(args.out, args.overwrite, "--out")
+    summaries = [_read_json(path, Summary.from_dict, "a report.json of twohands eval report") for path in args.reports]
+    if not summaries:
+        raise InputError("at least one report.json is needed")
+    sweeps = [_read_json(path, _checked_sweep, "a sweep of twohands eval sweep") for path in args.sweeps]
+    page = results_page(summaries, sweeps, command=_command(), notes=args.note)
+    write_file(args.out, page.encode())
+    print(f"{len(summaries)} reports and {len(sweeps)} sweeps set out in {args.out}")
+    return 0
+
+
+def _checked_sweep(sweep: dict[str, Any]) -> dict[str, Any]:
+    """The same if it can be set out."""
+    if sweep["version"] != SWEEP_VERSION:
+        raise ValueError(f"expected a sweep of version {SWEEP_VERSION}, got {sweep['version']}")
+    _ = sweep_table(sweep), sweep_findings(sweep), [sweep[k] for k in ("dataset", "sequences", "fps", "command")]
+    return sweep
+
+
+def _read_json(path: Path, read: Callable[[dict[str, Any]], Read], what: str) -> Read:
+    """A file of our own; one that is none, or of another version, is named."""
+    if not path.is_file():
+        raise InputError(f"{path}: no such file")
+    try:
+        return read(json.loads(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, StopIteration) as error:
+        reason = f" ({error})" if isinstance(error, ValueError) else ""
+        raise DataFormatError(f"{path}: not {what}{reason}") from None
+
+
 def _write_report(args: Report, summary: Summary, page: str) -> None:
-    markdown = summary.to_markdown()
     write_file(args.out / "report.json", json.dumps(summary.to_dict(), indent=1, allow_nan=False).encode())
-    write_file(args.out / "report.md", markdown.encode())
+    write_file(args.out / "report.md", summary.to_markdown().encode())
     write_file(args.out / "report.html", page.encode())
     print(f"report.json, report.md and report.html written to {args.out}")
-    if args.markdown is not None:
-        write_file(args.markdown, markdown.encode())
-        print(f"Markdown written to {args.markdown}")
 
 
 def _predict(dataset: OpenedDataset, system: System, count: int | None) -> Predictions:
@@ -367,7 +462,8 @@ def _predict(dataset: OpenedDataset, system: System, count: int | None) -> Predi
             settings = _settings(estimator, system)
         if system.smooth:
             estimate, settings = _Smoothed(estimate), settings | {"smoothed": True}
-        return predict(samples, estimate, dataset=dataset.samples.name, weights=name, settings=settings)
+        predictions = predict(samples, estimate, dataset=dataset.samples.name, weights=name, settings=settings)
+    return replace(predictions, command=_command())
 
 
 def _settings(estimator: HandEstimator, system: System) -> dict[str, Any]:
@@ -411,26 +507,39 @@ def _count(count: int | None, samples: HandDataset) -> int:
 
 def _samples(dataset: HandDataset, count: int, doing: str) -> Iterator[HandSample]:
     console = Console(stderr=True)
-    indices = range(min(count, len(dataset)))
-    for index in track(indices, doing, console=console, disable=not console.is_terminal, transient=True):
-        yield dataset[index]
-
-
-def _read_budget(path: Path, predictions: Predictions) -> dict[str, Any]:
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
-    try:
-        budget = json.loads(path.read_text(encoding="utf-8"))
-        if (version := budget["version"]) != BUDGET_VERSION:
-            raise DataFormatError(f"{path}: expected a budget of version {BUDGET_VERSION}, got {version}")
-        identity = budget["dataset_id"]
-        _ = budget_results(budget), budget_costs(budget)  # every number is there
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        raise DataFormatError(f"{path}: not an error budget of twohands eval budget") from None
-    if identity != predictions.dataset_id:
-        raise InputError(
-            f"{path}: the budget is of other data ({identity}) than the predictions ({predictions.dataset_id})"
+    samples = read_ahead(dataset, min(count, len(dataset)))
+    return iter(
+        track(
+            samples,
+            doing,
+            total=min(count, len(dataset)),
+            console=console,
+            disable=not console.is_terminal,
+            transient=True,
         )
+    )
+
+
+def _read_budget(path: Path, predictions: Predictions, labels: HandDataset) -> dict[str, Any]:
+    """A budget of the same images as the predictions, or of the first of them."""
+    budget = _read_json(path, _checked_budget, "an error budget of twohands eval budget")
+    identity, images = budget["dataset_id"], min(budget["images"], len(predictions))
+    found = predictions.dataset_id
+    if images < len(predictions):
+        fingerprint = Fingerprint()
+        for sample in _samples(labels, images, "reading labels"):
+            fingerprint.add(sample)
+        found = str(fingerprint)
+    if identity != found:
+        raise InputError(f"{path}: the budget is of other data ({identity}) than the predictions ({found})")
+    return budget
+
+
+def _checked_budget(budget: dict[str, Any]) -> dict[str, Any]:
+    """The same if it can be set out."""
+    if (version := budget["version"]) != BUDGET_VERSION:
+        raise ValueError(f"expected a budget of version {BUDGET_VERSION}, got {version}")
+    _ = budget_results(budget), budget_costs(budget), budget["dataset_id"], budget["images"]  # every number is there
     return budget
 
 

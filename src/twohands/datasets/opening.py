@@ -10,8 +10,9 @@ from typing import Final, Literal, TypeAlias, cast, get_args
 from twohands import ego3dhands_format as fmt
 from twohands.datasets import freihand, interhand, rhd, stb
 from twohands.datasets.base import HandDataset
-from twohands.datasets.ego3dhands import Ego3DHands
+from twohands.datasets.ego3dhands import LABELS_ONLY
 from twohands.datasets.files import existing_folder
+from twohands.datasets.shards import ShardedEgo3DHands, open_ego3dhands
 from twohands.errors import InputError
 
 Kind: TypeAlias = Literal["ego3dhands", "stb", "rhd", "freihand", "interhand"]
@@ -49,12 +50,14 @@ class OpenedDataset:
     Attributes:
         kind: which one.
         samples: its labelled pictures.
+        labels: the same samples for scoring: where decoding pictures takes long, they are black.
         all_hands_labelled: whether a hand that is not labelled is not in the picture either.
         visible_only: whether published numbers run over visible joints only.
     """
 
     kind: Kind
     samples: HandDataset
+    labels: HandDataset
     all_hands_labelled: bool = True
     visible_only: bool = False
 
@@ -104,18 +107,22 @@ def open_dataset(root: str | os.PathLike[str], options: DatasetOptions | None = 
     if kind == "ego3dhands":
         if options.split is not None:
             raise InputError("this layout has no --split; give the folder of the split itself")
-        return OpenedDataset(kind, Ego3DHands(root))
-    if kind == "stb":
-        return OpenedDataset(kind, stb.STB(root, cast(stb.Split, split), joint_zero=options.joint_zero))
+        ego3dhands = open_ego3dhands(root)
+        return OpenedDataset(kind, ego3dhands.leaving_out({fmt.DEPTH_FILE}), labels=ego3dhands.leaving_out(LABELS_ONLY))
     if kind == "rhd":
         both = options.hands == "both"
-        samples = rhd.RHD(root, cast(rhd.Split, split), hands=options.hands)
-        return OpenedDataset(kind, samples, all_hands_labelled=both, visible_only=True)
-    if kind == "freihand":
-        return OpenedDataset(kind, freihand.FreiHAND(root, cast(freihand.Split, split), background=options.background))
-    samples = interhand.InterHand(root, cast(interhand.Split, split), subset=options.subset)
-    return OpenedDataset(kind, samples)
+        pictures = rhd.RHD(root, cast(rhd.Split, split), hands=options.hands)
+        return OpenedDataset(kind, pictures, pictures, all_hands_labelled=both, visible_only=True)
+    if kind == "stb":
+        samples = stb.STB(root, cast(stb.Split, split), joint_zero=options.joint_zero)
+    elif kind == "freihand":
+        samples = freihand.FreiHAND(root, cast(freihand.Split, split), background=options.background)
+    else:
+        samples = interhand.InterHand(root, cast(interhand.Split, split), subset=options.subset)
+    return OpenedDataset(kind, samples, samples)
 
 
 def _holds_instance(folder: Path) -> bool:
+    if ShardedEgo3DHands.is_sharded(folder):
+        return True
     return any(fmt.JOINTS_2D_FILE in files for _, _, files in os.walk(folder, followlinks=True))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import os
 import tarfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from io import BytesIO
 from pathlib import Path
 
@@ -41,6 +42,8 @@ class ShardedEgo3DHands:
         InputError: the folder does not exist, or holds no finished shard.
         DataFormatError: the index is missing or damaged.
     """
+
+    _left_out: Set[str] = frozenset()
 
     def __init__(self, root: str | os.PathLike[str]) -> None:
         self.root = existing_folder(root)
@@ -82,7 +85,13 @@ class ShardedEgo3DHands:
             DataFormatError: it is damaged.
         """
         entry = self.entries[index]
-        return decode_instance(self.files(index), self.root / str(entry.shard) / entry.instance)
+        return decode_instance(self.files(index), self.root / str(entry.shard) / entry.instance, self._left_out)
+
+    def leaving_out(self, names: Set[str]) -> ShardedEgo3DHands:
+        """The same instances without decoding some of their files (`ego3dhands.decode_instance`)."""
+        other = copy.copy(self)
+        other._left_out = names
+        return other
 
     def files(self, index: int) -> Mapping[str, bytes]:
         """The files of an instance, by name.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -55,6 +55,15 @@ class Breakdown:
     key: str
     title: str
     parts: tuple[Part, ...]
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> Breakdown:
+        """A table from its JSON values; None becomes NaN."""
+        parts = [
+            Part(part["name"], part["hands"], {k: np.nan if v is None else v for k, v in part["values"].items()})
+            for part in content["parts"]
+        ]
+        return cls(content["key"], content["title"], tuple(parts))
 
 
 def breakdowns(comparison: Comparison) -> tuple[Breakdown, ...]:

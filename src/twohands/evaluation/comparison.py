@@ -248,6 +248,11 @@ def _comparison(predictions: Predictions, truth: _Labels, protocol: Protocol) ->
     )
 
 
+def without_picture(sample: HandSample) -> HandSample:
+    """The labels of a sample that are kept when it is scored several times; picture, masks and depth are dropped."""
+    return replace(sample, image=np.zeros((1, 1, 3), np.uint8), labels=None, depth_m=None)
+
+
 def by_hand(
     errors: Callable[[m.FloatArray, m.FloatArray, m.BoolArray], m.FloatArray],
     predicted: m.FloatArray,

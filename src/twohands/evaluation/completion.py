@@ -14,7 +14,7 @@ from twohands.errors import DataFormatError
 from twohands.geometry.boxes import box_from_points
 from twohands.geometry.camera import project
 from twohands.geometry.canonical import canonical_from_camera
-from twohands.geometry.projection import Method, project_global
+from twohands.geometry.projection import Method, project_global, range_weights
 from twohands.skeleton import N_JOINTS, ROOT, WRIST
 from twohands.types import HandPose, HandSample, PinholeCamera
 
@@ -67,7 +67,8 @@ def complete_hand(
             own = canonical_from_camera(space)
             pose = np.asarray(own.joints) if bool(own.valid) else None
     elif pixels is not None and pose is not None:
-        solved = project_global(pose, pixels, camera, hand_length_m, method=method)
+        weights = range_weights(np.ones(N_JOINTS)) if method == "all-joints" else None
+        solved = project_global(pose, pixels, camera, hand_length_m, method=method, weights=weights)
         space = np.asarray(solved.joints_m) if bool(solved.valid) else None
     if box is None and pixels is not None:
         box = np.asarray(box_from_points(pixels))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -56,6 +56,13 @@ class Curve:
     panel: Panel
     shares: m.FloatArray
     auc: float
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> Curve:
+        """A curve from its JSON values; None becomes NaN."""
+        panel = next(panel for panel in PANELS if panel.key == content["panel"])
+        shares = np.array([np.nan if share is None else share for share in content["shares"]], float)
+        return cls(panel, shares, float("nan") if content["auc"] is None else content["auc"])
 
 
 def pck_curves(comparison: Comparison) -> tuple[Curve, ...]:

@@ -21,6 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twohands.errors import DataFormatError, InputError
+from twohands.geometry.camera import unproject
+from twohands.geometry.rotation import centring_angles
 from twohands.skeleton import N_JOINTS, ROOT, SIDES
 from twohands.types import HandPose, HandSample, PinholeCamera, TwoHandPose
 
@@ -48,6 +50,7 @@ class Predictions:
         dataset_id: fingerprint of the N samples' labels (`Fingerprint`).
         weights: what identifies the network weights.
         settings: everything else needed to repeat the run.
+        command: the command that was given, for people; "" where there was none.
         sources: (N,) the samples' names.
         present: (N, 2) bool.
         valid: (N, 2) bool, whether `joints_m` can be used.
@@ -74,6 +77,7 @@ class Predictions:
     canonical: NDArray[np.float64]
     joints_m: NDArray[np.float64]
     masks_png: tuple[bytes, ...]
+    command: str = ""
 
     def __len__(self) -> int:
         return len(self.sources)
@@ -85,10 +89,10 @@ class Predictions:
 
     def pose(self, index: int, camera: PinholeCamera) -> TwoHandPose:
         """What was said about one image, as the estimator says it."""
-        left, right = (self._hand(index, side) for side in (0, 1))
+        left, right = (self._hand(index, side, camera) for side in (0, 1))
         return TwoHandPose(left, right, camera, self.mask(index), index)
 
-    def _hand(self, index: int, side: int) -> HandPose:
+    def _hand(self, index: int, side: int, camera: PinholeCamera) -> HandPose:
         if not self.present[index, side]:
             return HandPose(present=False)
 
@@ -99,15 +103,19 @@ class Predictions:
         valid = bool(self.valid[index, side])
         joints_m = known("joints_m") if valid else None
         score = float(self.score[index, side])
+        joints_px = known("joints_px")
+        theta, phi = (None, None) if joints_px is None else _direction_deg(joints_px[ROOT], camera)
         return HandPose(
             present=True,
             score=score if np.isfinite(score) else None,
             box_px=known("box_px"),
-            joints_px=known("joints_px"),
+            joints_px=joints_px,
             joint_scores=known("joint_scores"),
             canonical=known("canonical"),
             joints_m=joints_m,
             range_m=None if joints_m is None else float(np.linalg.norm(joints_m[ROOT])),
+            theta_deg=theta,
+            phi_deg=phi,
             valid=valid,
         )
 
@@ -162,6 +170,7 @@ def predict(
         sources.append(sample.source)
         hands.append(pose.hands)
         masks.append(b"" if pose.masks is None else _encode_png(pose.masks))
+    arrays: dict[str, Any] = {name: _stack(hands, name) for name in _ARRAYS}
     predictions = Predictions(
         dataset=dataset,
         dataset_id=str(fingerprint),
@@ -169,7 +178,7 @@ def predict(
         settings=settings,
         sources=tuple(sources),
         masks_png=tuple(masks),
-        **{name: _stack(hands, name) for name in _ARRAYS},
+        **arrays,
     )
     check_predictions(predictions, weights)
     return predictions
@@ -188,7 +197,7 @@ def save_predictions(path: str | os.PathLike[str], predictions: Predictions, *, 
     """
     target = check_predictions_path(path, overwrite=overwrite)
     header = {"version": VERSION} | {
-        name: getattr(predictions, name) for name in ("dataset", "dataset_id", "weights", "settings")
+        name: getattr(predictions, name) for name in ("dataset", "dataset_id", "weights", "settings", "command")
     }
     temporary = target.with_name(f".{target.name}.{os.getpid()}")
     try:
@@ -257,6 +266,7 @@ def load_predictions(path: str | os.PathLike[str]) -> Predictions:
         **{name: header[name] for name in ("dataset", "dataset_id", "weights", "settings")},
         sources=tuple(str(source) for source in stored["sources"]),
         masks_png=tuple(data[start:end] for start, end in pairwise(ends)),
+        command=str(header.get("command", "")),
         **{name: stored[name] for name in _ARRAYS},
     )
     check_predictions(predictions, str(path))
@@ -301,6 +311,13 @@ def _refuse(predictions: Predictions, wrong: NDArray[np.bool_], what: str, where
             f"{where}: image '{predictions.sources[index]}', {SIDES[side]} hand: {what}{others}; NaN throughout means "
             "not predicted"
         )
+
+
+def _direction_deg(root_px: NDArray[np.float64], camera: PinholeCamera) -> tuple[float | None, float | None]:
+    """(theta, phi) in degrees of a root joint seen at a pixel (2,); None outside the lens model."""
+    angles = [float(np.degrees(angle)) for angle in centring_angles(unproject(root_px, camera))]
+    theta, phi = (angle if np.isfinite(angle) else None for angle in angles)
+    return theta, phi
 
 
 def _stack(hands: list[tuple[HandPose, HandPose]], name: str) -> NDArray[Any]:

@@ -24,6 +24,11 @@ class Published:
     unit: str = ""
     caveat: str = ""
 
+    @property
+    def printed(self) -> str:
+        """The value with the digits that were printed: two, or three."""
+        return f"{self.value:.3f}".removesuffix("0")
+
 
 _PAPER: Final = "paper"
 _AVERAGING: Final = "the paper does not say how it averages; ours is per image over both hands"

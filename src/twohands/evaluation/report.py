@@ -66,12 +66,26 @@ class EvaluationReport:
         ]
         return content
 
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> EvaluationReport:
+        """Undoes `to_dict`, but for the sides' numbers: JSON does not tell "nothing to measure" from "no sides"."""
+        values = {
+            name: content[name] for name in ("dataset", "dataset_id", "weights", "settings", "images", "protocol")
+        }
+        return cls(**values, metrics=tuple(metric_from_dict(metric) for metric in content["metrics"]))
+
     def to_markdown(self) -> str:
         """A table for documents: metric, value, left, right, unit, count."""
         rows = [("metric", "value", "left", "right", "unit", "count"), ("---", *("---:",) * 3, "---", "---:")]
         rows += [table_row(metric) for metric in self.metrics]
         title = f"{self.dataset} ({self.images} images, id {self.dataset_id}), weights {self.weights}"
         return "\n".join([title, "", *(f"| {' | '.join(row)} |" for row in rows)]) + "\n"
+
+
+def metric_from_dict(content: dict[str, Any]) -> Metric:
+    """A metric from JSON values; None becomes NaN."""
+    known: dict[str, Any] = content | ({"value": math.nan} if content["value"] is None else {})
+    return Metric(**known)
 
 
 def table_row(metric: Metric) -> tuple[str, str, str, str, str, str]:

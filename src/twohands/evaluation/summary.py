@@ -14,9 +14,9 @@ from twohands.evaluation.curves import PANELS, Curve, pck_curves
 from twohands.evaluation.predictions import Predictions
 from twohands.evaluation.protocols import metrics_of, report_of
 from twohands.evaluation.published import GENERATED_CAVEAT, Published, published_for
-from twohands.evaluation.report import EvaluationReport, Metric, format_number
+from twohands.evaluation.report import EvaluationReport, Metric, format_number, metric_from_dict
 
-VERSION: Final = 1
+VERSION: Final = 2
 Table = list[list[str]]
 """Rows of text; the first is the heading."""
 
@@ -75,6 +75,7 @@ class SystemResult:
         parts: the same by range, overlap and side.
         curves: PCK.
         common: the metrics over the hands that every system found; empty for a single system.
+        command: what made its predictions; "" where unknown.
     """
 
     name: str
@@ -82,6 +83,7 @@ class SystemResult:
     parts: tuple[Breakdown, ...]
     curves: tuple[Curve, ...]
     common: tuple[Metric, ...] = ()
+    command: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +119,7 @@ class Summary:
             "systems": [
                 {
                     "name": system.name,
+                    "command": system.command,
                     "report": system.report.to_dict(),
                     "common": [_jsonable(asdict(metric)) for metric in system.common],
                     "parts": [_jsonable(asdict(part)) for part in system.parts],
@@ -136,6 +139,28 @@ class Summary:
             "published": [asdict(number) for number in self.published],
             "budget": self.budget,
         }
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> Summary:
+        """Undoes `to_dict`.
+
+        Raises:
+            KeyError, TypeError, ValueError, StopIteration: these are not its values.
+        """
+        if content["version"] != VERSION:
+            raise ValueError(f"expected a report of version {VERSION}, got {content['version']}")
+        systems = [
+            SystemResult(
+                system["name"],
+                EvaluationReport.from_dict(system["report"]),
+                tuple(Breakdown.from_dict(part) for part in system["parts"]),
+                tuple(Curve.from_dict(curve) for curve in system["curves"]),
+                tuple(metric_from_dict(metric) for metric in system["common"]),
+                system["command"],
+            )
+            for system in content["systems"]
+        ]
+        return cls(content["kind"], tuple(systems), content["budget"], content["command"], tuple(content["notes"]))
 
     def headline_table(self) -> Table:
         """Metric by system, the important ones."""
@@ -166,8 +191,8 @@ class Summary:
         table = [["metric", "published", "by", *(system.name for system in self.systems), "before comparing"]]
         for number in self.published:
             ours = [_value(system.report, number.metric) for system in self.systems]
-            name = self._name(number.metric)
-            printed = f"{number.value:.3f}".removesuffix("0") + (f" {number.unit}" if number.unit else "")
+            name = self.metric_name(number.metric)
+            printed = number.printed + (f" {number.unit}" if number.unit else "")
             table.append([name, printed, number.system, *ours, number.caveat])
         return table
 
@@ -250,7 +275,8 @@ class Summary:
             keys.update((metric.key, None) for metric in system.report.metrics)
         return list(keys)
 
-    def _name(self, key: str) -> str:
+    def metric_name(self, key: str) -> str:
+        """Name for people of a metric's key."""
         for system in self.systems:
             for metric in system.report.metrics:
                 if metric.key == key:
@@ -295,6 +321,7 @@ def summarise(
             breakdowns(comparison),
             pck_curves(comparison),
             metrics_of(comparison.of_hands(found)) if len(systems) > 1 else (),
+            predictions.command,
         )
         for name, predictions, comparison in systems
     )

@@ -19,7 +19,7 @@ from twohands.geometry._arrays import float_arrays
 from twohands.geometry.camera import project, unproject
 from twohands.geometry.canonical import camera_from_canonical
 from twohands.geometry.rotation import centring_angles, paper_angles, rotate, rotation_from_angles
-from twohands.skeleton import KEY_BONES, ROOT
+from twohands.skeleton import KEY_BONES, PALM, ROOT
 from twohands.types import Array, GlobalPose, PinholeCamera
 
 Method = Literal["all-joints", "keybone"]
@@ -30,6 +30,32 @@ _SHORTEST_PX = 1e-6
 
 _SHORTEST_ACROSS = 1e-6
 """The same in 3D: distance from the root across its line of sight, canonical units."""
+
+
+_FINGER_WEIGHT = 0.25
+"""Of a finger's joint beside 1 for wrist and knuckles: the palm is nearly rigid, so its joints are known best."""
+
+_LEAST_SCORE = 0.05
+"""No joint is ignored altogether: a hand of which nothing is certain still has a range."""
+
+
+def range_weights(joint_scores: Array) -> Array:
+    """Weights with which a hand's range is solved from estimated joints: palm before fingers, certain before doubtful.
+
+    Args:
+        joint_scores: (..., 21) 0..1, certainty of the 2D joints; NaN where the system says nothing, which counts as 1.
+
+    Returns:
+        (..., 21) positive, for `project_global`: score^2, a quarter of that for the joints of the fingers beyond the
+        knuckles.
+
+    Source: ours; measured in docs/paper-map.md, *Weights of the joints*.
+    """
+    xp, scores = float_arrays(joint_scores)
+    joints = xp.arange(scores.shape[-1], device=scores.device)
+    palm = xp.any(xp.stack([joints == joint for joint in PALM]), axis=0)
+    certain = xp.where(xp.isfinite(scores), xp.where(scores > _LEAST_SCORE, scores, _LEAST_SCORE), 1.0)
+    return xp.where(palm, 1.0, _FINGER_WEIGHT) * certain**2
 
 
 def project_global(

@@ -114,9 +114,13 @@ def masks_from_logits(logits: np.ndarray, image_size: tuple[int, int], present: 
         (H, W) uint8, 0 background, 1 left, 2 right.
     """
     height, width = image_size
-    classes = np.array([0, *(1 + np.flatnonzero(present))], dtype=np.uint8)
-    enlarged = [cv2.resize(np.ascontiguousarray(logits[c], np.float32), (width, height)) for c in classes]
-    return classes[np.argmax(enlarged, axis=0)]
+    masks = np.zeros((height, width), np.uint8)
+    largest = cv2.resize(np.ascontiguousarray(logits[0], np.float32), (width, height))
+    for hand in 1 + np.flatnonzero(present):  # one class after the other: np.argmax over all takes four times as long
+        enlarged = cv2.resize(np.ascontiguousarray(logits[hand], np.float32), (width, height))
+        np.copyto(masks, np.uint8(hand), where=enlarged > largest)
+        np.maximum(largest, enlarged, out=largest)
+    return masks
 
 
 def otsu_threshold(energy: np.ndarray) -> float:

@@ -15,12 +15,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from twohands.evaluation.comparison import DEFAULT_PROTOCOL, Protocol, compare
+from twohands.evaluation.comparison import DEFAULT_PROTOCOL, Protocol, compare, without_picture
 from twohands.evaluation.completion import hand_lengths_m
 from twohands.evaluation.predictions import Predictions, predict
 from twohands.evaluation.protocols import metrics_of
 from twohands.evaluation.report import Metric
-from twohands.geometry.projection import Method, project_global
+from twohands.geometry.projection import Method, project_global, range_weights
 from twohands.inference.ground_truth import Stage
 from twohands.types import HandSample, PinholeCamera, TwoHandPose
 
@@ -100,6 +100,7 @@ class Budget:
         images: number of images.
         rows: one a study.
         notes: what a reader must know.
+        command: what made it.
     """
 
     dataset: str
@@ -108,6 +109,7 @@ class Budget:
     images: int
     rows: tuple[BudgetRow, ...]
     notes: tuple[str, ...] = field(default=())
+    command: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         """JSON values; NaN becomes None."""
@@ -117,6 +119,7 @@ class Budget:
             "dataset_id": self.dataset_id,
             "weights": self.weights,
             "images": self.images,
+            "command": self.command,
             "notes": list(self.notes),
             "rows": [
                 {
@@ -139,7 +142,7 @@ class Budget:
 
 
 def error_budget(
-    samples: Callable[[str], Iterable[HandSample]],
+    samples: Iterable[HandSample],
     estimator_of: Callable[[Study], Callable[[HandSample], TwoHandPose]],
     *,
     dataset: str,
@@ -147,46 +150,47 @@ def error_budget(
     studies: Sequence[Study] = STUDIES,
     protocol: Protocol = DEFAULT_PROTOCOL,
     notes: tuple[str, ...] = (),
+    command: str = "",
 ) -> Budget:
     """Runs all studies.
 
     Args:
-        samples: gives the same labelled images anew for every study, whose name it is told.
+        samples: labelled images; each is read once.
         estimator_of: the pipeline with a study's stages replaced.
         dataset, weights: for the report.
         studies: which ones; the ones they are compared with must come first.
         protocol: what counts.
-        notes: handed through.
+        notes, command: handed through.
 
     Returns:
         The budget.
+
+    Raises:
+        DataFormatError: there is no sample.
     """
+    estimates = [estimator_of(study) for study in studies]
+    poses: list[list[TwoHandPose]] = [[] for _ in studies]
+    labels: list[HandSample] = []
+    for sample in samples:
+        for found, estimate in zip(poses, estimates, strict=True):
+            found.append(replace(estimate(sample), masks=None))  # neither masks nor pictures are kept in memory
+        labels.append(without_picture(sample))
+    cameras = [sample.camera for sample in labels]
+    lengths = np.array([hand_lengths_m(sample) for sample in labels])
     rows: list[BudgetRow] = []
-    predictions: Predictions | None = None
-    for study in studies:
-        cameras: list[PinholeCamera] = []
-        lengths: list[np.ndarray] = []
-        estimate = estimator_of(study)
-        labels: list[HandSample] = []
-
-        def noted(sample: HandSample, estimate: Callable[[HandSample], TwoHandPose] = estimate) -> TwoHandPose:
-            pose = estimate(sample)
-            cameras.append(sample.camera)  # noqa: B023 - used up within this turn of the loop
-            lengths.append(hand_lengths_m(sample))  # noqa: B023
-            blank = np.zeros((1, 1, 3), np.uint8)  # pictures are not kept in memory
-            labels.append(replace(sample, image=blank, labels=None, depth_m=None))  # noqa: B023
-            return pose
-
+    identity = ""
+    for study, found in zip(studies, poses, strict=True):
+        said = iter(found)
         predictions = predict(
-            samples(study.name), noted, dataset=dataset, weights=weights, settings={"study": study.key}
+            labels, lambda _, said=said: next(said), dataset=dataset, weights=weights, settings={"study": study.key}
         )
         metrics: dict[Method, dict[str, Metric]] = {}
         for method in METHODS:
-            placed = solved_again(predictions, cameras, np.array(lengths), method)
+            placed = solved_again(predictions, cameras, lengths, method)
             metrics[method] = {metric.key: metric for metric in metrics_of(compare(placed, labels, protocol))}
         rows.append(BudgetRow(study, metrics))
-    assert predictions is not None
-    return Budget(dataset, predictions.dataset_id, weights, len(predictions), tuple(rows), notes)
+        identity = predictions.dataset_id
+    return Budget(dataset, identity, weights, len(labels), tuple(rows), notes, command)
 
 
 def solved_again(
@@ -205,9 +209,15 @@ def solved_again(
     """
     joints_m = np.full_like(predictions.joints_m, np.nan)
     valid = np.zeros_like(predictions.valid)
+    weights = range_weights(predictions.joint_scores)
     for index, camera in enumerate(cameras):
         pose = project_global(
-            predictions.canonical[index], predictions.joints_px[index], camera, hand_lengths_m[index], method=method
+            predictions.canonical[index],
+            predictions.joints_px[index],
+            camera,
+            hand_lengths_m[index],
+            method=method,
+            weights=weights[index] if method == "all-joints" else None,
         )
         valid[index] = predictions.present[index] & np.asarray(pose.valid)
         joints_m[index] = np.where(valid[index][:, None, None], pose.joints_m, np.nan)

@@ -15,7 +15,7 @@ import numpy as np
 from twohands.errors import InputError
 from twohands.geometry.boxes import apply_homography, perspective_crop, square_crop
 from twohands.geometry.composition import compose_hand_input
-from twohands.geometry.projection import project_global
+from twohands.geometry.projection import project_global, range_weights
 from twohands.geometry.segmentation import (
     HandBoxes,
     boxes_from_energy,
@@ -118,7 +118,8 @@ class HandEstimator:
             joints_px, joint_scores = self.read_out(heatmaps, crops, truth)
             canonical = self.lift(heatmaps, crops, truth)
             lengths_m = np.broadcast_to(hand_length_m, (2,))[sides]
-            pose = project_global(canonical, joints_px, camera, lengths_m, method=METHOD)
+            weights = range_weights(joint_scores)
+            pose = project_global(canonical, joints_px, camera, lengths_m, method=METHOD, weights=weights)
             for i, side in enumerate(sides):
                 hands[side] = _hand_pose(boxes, side, joints_px[i], joint_scores[i], canonical[i], pose, i)
         return TwoHandPose(hands[0], hands[1], camera, masks, index, time_s)
@@ -162,12 +163,13 @@ class HandEstimator:
     def read_out(
         self, heatmaps: np.ndarray, crops: list[HandCrop], truth: StageTruth = NO_TRUTH
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Heatmaps -> joints (B, 21, 2) in pixels of the picture, un-mirrored, and scores (B, 21)."""
+        """Heatmaps -> joints (B, 21, 2) in pixels of the picture, un-mirrored, and scores (B, 21), 1 for labels."""
         cells, scores = read_joints(heatmaps, self.card.heatmap_decode)
         crop_px = cells * (self.card.crop_size / heatmaps.shape[-1])
         joints_px = apply_homography(np.stack([crop.image_from_crop for crop in crops]), crop_px)
         if truth.joints_px is not None:
             joints_px = truth.joints_px[[crop.side for crop in crops]]
+            scores = np.ones_like(scores)
         return joints_px, scores
 
     def lift(self, heatmaps: np.ndarray, crops: list[HandCrop], truth: StageTruth = NO_TRUTH) -> np.ndarray:

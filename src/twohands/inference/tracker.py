@@ -34,15 +34,16 @@ _SPARE_FOR_SCALE = 3
 
 @dataclass(frozen=True, slots=True)
 class RangeSmoothing:
-    """How the range is smoothed. The paper gives no number; the defaults are SPEC 6's.
+    """How the range is smoothed. The paper gives no number; the defaults are what `twohands eval sweep` says on made
+    sequences at 30 frames a second: as accurate as unsmoothed ranges, half their radial acceleration error.
 
     Raises:
         InputError: a value is out of its range.
     """
 
-    length: int = 15
+    length: int = 8
     "Radii in the queue, the current one included; 1 or 2 turn smoothing off."
-    degree: int = 2
+    degree: int = 1
     "Degree of the polynomial; lower while the queue fills."
     gate: float = 3.0
     "Largest deviation from the prediction, in its robust standard deviations; inf accepts all."

@@ -1,0 +1,146 @@
+"""One Markdown page from finished reports: docs/results.md is this page and is never edited."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+from twohands.evaluation.published import GENERATED_CAVEAT, Published
+from twohands.evaluation.report import format_number
+from twohands.evaluation.summary import BUDGET_TEXT, HEADLINE, Summary, Table, markdown_table
+
+SWEEP_COLUMNS: Final = (
+    ("range_mean", "range, mean (cm)", min),
+    ("range_median", "range, median (cm)", min),
+    ("range_7cm", "within 7 cm", max),
+    ("cs_mpjpe", "CS-MPJPE (mm)", min),
+    ("acceleration_radial", "acceleration error, radial (m/s2)", min),
+)
+"""Metric key, heading, and whether less or more is better."""
+
+SWEEP_TEXT: Final = (
+    "The root joint's range smoothed by a polynomial over the latest frames, current frame included, as it would run "
+    "live. Direction and pose are each frame's own."
+)
+
+
+def results_page(
+    summaries: Sequence[Summary], sweeps: Sequence[dict[str, Any]] = (), *, command: str = "", notes: Sequence[str] = ()
+) -> str:
+    """The page.
+
+    Args:
+        summaries: a report each; one section a data set.
+        sweeps: JSON values of `inference.smoothing_sweep.Sweep`, one table each.
+        command: what makes the page again.
+        notes: what a reader must know.
+
+    Returns:
+        Markdown.
+    """
+    lines = ["# Results", "", "Made by commands, not by hand; the last one is", "", *_code(command)]
+    for note in notes:
+        lines += [f"> {note}", ""]
+    for summary in summaries:
+        lines += _dataset(summary)
+    for sweep in sweeps:
+        lines += _sweep(sweep)
+    return "\n".join(lines)
+
+
+def comparison_table(summary: Summary) -> Table:
+    """Metric by system with the paper's printed numbers behind the first: ours, paper, others."""
+    head, *rows = summary.headline_table()
+    by_name = {row[0]: row for row in rows}
+    keys = [metric.key for metric in summary.systems[0].report.metrics]
+    names = {metric.key: metric.name for metric in summary.systems[0].report.metrics}
+    own = [number for number in summary.published if number.system.startswith("paper")]
+    shown = [key for key in keys if key in HEADLINE or any(number.metric == key for number in own)]
+    full = {row[0]: row for row in summary.full_table()[1:]}
+    table: Table = [[*head[:3], "paper", *head[3:]]]
+    for key in shown:
+        row = by_name.get(names[key]) or full[names[key]]
+        table.append([*row[:3], _printed([number for number in own if number.metric == key]), *row[3:]])
+    return table
+
+
+def sweep_table(sweep: dict[str, Any]) -> Table:
+    """One row a setting, the unsmoothed ranges first."""
+    table: Table = [["queue", "degree", *(name for _, name, _ in SWEEP_COLUMNS)]]
+    for row in sweep["rows"]:
+        setting = ["off", "-"] if row["length"] is None else [str(row["length"]), str(row["degree"])]
+        table.append([*setting, *(_number(row["metrics"].get(key)) for key, _, _ in SWEEP_COLUMNS)])
+    return table
+
+
+def sweep_findings(sweep: dict[str, Any]) -> list[str]:
+    """The best setting by every column, one sentence each, and the one that is the default."""
+    found: list[str] = []
+    for key, name, better in SWEEP_COLUMNS:
+        rows = [row for row in sweep["rows"] if row["metrics"].get(key) is not None]
+        if rows:
+            best = better(rows, key=lambda row: row["metrics"][key])  # the first, and shortest queue, of equal ones
+            found.append(f"Best by {name}: {_setting(best)}, {_number(best['metrics'][key])}.")
+    default = sweep["default"]
+    return [*found, f"The tracker's default: {_setting(default)}."]
+
+
+def _dataset(summary: Summary) -> list[str]:
+    report = summary.systems[0].report
+    lines = [f"## {report.dataset}: {report.images} images", "", *summary.about(), ""]
+    for note in summary.notes:
+        lines += [f"> {note}", ""]
+    lines += [*markdown_table(comparison_table(summary)), ""]
+    if summary.kind == "ego3dhands":
+        lines += [GENERATED_CAVEAT, ""]
+    printed = [(summary.metric_name(number.metric), number) for number in summary.published]
+    if caveats := list(dict.fromkeys(f"- {name}: {number.caveat}." for name, number in printed if number.caveat)):
+        lines += ["Before comparing with the paper:", "", *caveats, ""]
+    if others := [(name, number) for name, number in printed if not number.system.startswith("paper")]:
+        table = [["printed by others", "metric", "value"]]
+        table += [[number.system, name, f"{number.printed} {number.unit}".strip()] for name, number in others]
+        lines += [*markdown_table(table), ""]
+    if table := summary.common_table():
+        lines += ["### Over the hands that every system found", "", *markdown_table(table), ""]
+    if tables := summary.budget_tables():
+        lines += ["### Error budget", "", BUDGET_TEXT, "", *_budget_size(summary), *markdown_table(tables[0]), ""]
+        lines += ["What each stage costs (all joints):", "", *markdown_table(tables[1]), ""]
+    for title, table in summary.part_tables():
+        lines += [f"### {title}", "", *markdown_table(table), ""]
+    commands = [system.command for system in summary.systems]
+    commands += [str((summary.budget or {}).get("command", "")), summary.command]
+    return [*lines, "### Commands", "", *_code("\n".join(c for c in commands if c))]
+
+
+def _budget_size(summary: Summary) -> list[str]:
+    images = (summary.budget or {}).get("images")
+    return [] if images == summary.systems[0].report.images else [f"Over the first {images} images.", ""]
+
+
+def _sweep(sweep: dict[str, Any]) -> list[str]:
+    lines = [f"## Range smoothing over video: {sweep['dataset']}", "", SWEEP_TEXT, ""]
+    lines += [
+        f"{sweep['frames']} frames in {sweep['sequences']} sequences at {sweep['fps']:g} frames a second; "
+        f"weights {sweep['weights']}.",
+        "",
+    ]
+    lines += [*markdown_table(sweep_table(sweep)), "", *(f"- {line}" for line in sweep_findings(sweep)), ""]
+    return [*lines, *_code(sweep["command"])]
+
+
+def _printed(numbers: Sequence[Published]) -> str:
+    """The paper's numbers for one metric, each with what it is about where there are several kinds; "" for none."""
+    kinds = [number.system.removeprefix("paper").strip(" ,+") for number in numbers]
+    return "; ".join(f"{n.printed} ({kind})" if kind else n.printed for n, kind in zip(numbers, kinds, strict=True))
+
+
+def _setting(setting: dict[str, Any]) -> str:
+    return "no smoothing" if setting["length"] is None else f"queue {setting['length']}, degree {setting['degree']}"
+
+
+def _number(value: float | None) -> str:
+    return "n/a" if value is None else format_number(value)
+
+
+def _code(text: str) -> list[str]:
+    return ["```", text, "```", ""] if text else []
