@@ -10,11 +10,13 @@ import pytest
 from twohands.cli.main import main
 from twohands.datasets.ego3dhands import Ego3DHands
 from twohands.geometry.camera import project
+from twohands.skeleton import LEFT, RIGHT, part_label
 from twohands.synth.config import PAPER, WILD
 from twohands.synth.render.blender import BlenderRenderer, place_camera
 from twohands.synth.render.nodes import Value, add_node
 from twohands.synth.render.raster import RasterRenderer
-from twohands.synth.scene import sample_scene
+from twohands.synth.scene import sample_scene, sees_the_person
+from twohands.synth.things import NO_LABEL
 from twohands.types import PinholeCamera
 
 pytestmark = pytest.mark.skipif(
@@ -23,6 +25,7 @@ pytestmark = pytest.mark.skipif(
 
 WIDTH, HEIGHT = 160, 90
 DRESSED = dataclasses.replace(WILD, sleeves=0.7, gloves=0.5)
+LADEN = dataclasses.replace(WILD, sleeves=0.2, gloves=0.0, objects=1.0, watches=1.0, rings=1.0, webcam=0.5)
 
 
 @pytest.fixture(scope="module")
@@ -36,9 +39,15 @@ def raster():
 
 
 def scenes(count):
-    """So many of the paper's and so many of all kinds, whose cameras and clothes vary."""
-    configs = [dataclasses.replace(config, width=WIDTH, height=HEIGHT) for config in (PAPER, DRESSED)]
+    """So many of the paper's, so many of all kinds, whose cameras and clothes vary, and so many with all things."""
+    configs = [dataclasses.replace(config, width=WIDTH, height=HEIGHT) for config in (PAPER, DRESSED, LADEN)]
     return [sample_scene(config, 5, index) for config in configs for index in range(count)]
+
+
+def data_blocks(renderer):
+    """How many objects, meshes, materials, lights and images Blender holds."""
+    data = renderer._bpy.data
+    return [len(blocks) for blocks in (data.objects, data.meshes, data.materials, data.lights, data.images)]
 
 
 def part_ious(pairs):
@@ -50,8 +59,11 @@ def part_ious(pairs):
 
 def test_both_renderers_give_the_same_labels(cycles, raster):
     specs = scenes(3)
+    kinds = {thing.label for scene in specs for thing in scene.things}
+    assert {NO_LABEL, part_label(LEFT, 0), part_label(RIGHT, 0)} < kinds  # objects and bodies, watches; rings
+    assert {sees_the_person(scene.view) for scene in specs if scene.things} == {True, False}
     pairs = [(raster.render(scene), cycles.render(scene)) for scene in specs]
-    for a, b in pairs:
+    for scene, (a, b) in zip(specs, pairs, strict=True):
         np.testing.assert_array_equal(a.joints_m, b.joints_m)
         np.testing.assert_array_equal(a.present, b.present)
         assert a.camera == b.camera
@@ -59,10 +71,12 @@ def test_both_renderers_give_the_same_labels(cycles, raster):
         difference = np.abs(a.depth_m - b.depth_m)[both]
         assert np.median(difference) < 1e-5
         assert np.quantile(difference, 0.99) < 1e-3
-        mask = b.part_labels > 0
-        np.testing.assert_array_equal(mask, b.depth_m > 0)
-        np.testing.assert_array_equal(mask, b.alpha > 0)
-        assert (b.rgb[~mask] == 0).all()
+        hands, mask = b.part_labels > 0, b.alpha > 0
+        np.testing.assert_array_equal(hands, b.depth_m > 0)
+        assert mask[hands].all() and (b.rgb[~mask] == 0).all()
+        unlabelled = any(thing.label == NO_LABEL for thing in scene.things)
+        assert unlabelled or (mask == hands).all()
+        assert ((a.alpha > 0) ^ mask).sum() < 0.01 * mask.sum()
     assert part_ious([(a.part_labels, b.part_labels) for a, b in pairs]).min() > 0.97
 
     # Half a pixel aside, the masks would not pass.
@@ -71,8 +85,25 @@ def test_both_renderers_give_the_same_labels(cycles, raster):
     assert part_ious(aside).min() < 0.97
 
 
+def test_both_renderers_give_the_same_amodal_masks(cycles, raster):
+    config = dataclasses.replace(LADEN, width=WIDTH, height=HEIGHT, together=1.0, drop_rate=0.2)
+    hidden = 0
+    for index in range(3):
+        scene = sample_scene(config, 8, index)
+        raster.render(scene)
+        frame = cycles.render(scene)
+        expected, masks = raster.amodal(scene), cycles.amodal(scene)
+        assert masks.shape == expected.shape and masks.dtype == expected.dtype
+        np.testing.assert_array_equal(masks.any((1, 2)), scene.present)
+        assert (masks ^ expected).sum() < 0.01 * expected.sum()
+        for side in (LEFT, RIGHT):
+            seen = (frame.part_labels > 7 * side) & (frame.part_labels <= 7 + 7 * side)
+            hidden += int((masks[side] & ~seen).sum())
+    assert hidden > 50
+
+
 def test_both_renderers_light_alike(cycles, raster):
-    """Means over each picture's hands, of 255, not pixels: lamps, shadows and shine differ in kind."""
+    """Means over each picture's hands and things, of 255, not pixels: lamps, shadows and shine differ in kind."""
     for scene in scenes(2):
         a, b = raster.render(scene), cycles.render(scene)
         inside = (a.alpha == 255) & (b.alpha == 255)
@@ -107,9 +138,13 @@ def test_a_pixel_shows_what_projects_into_its_middle(cycles):
 
 
 def test_the_same_scene_gives_the_same_picture(cycles):
-    first, other = scenes(1)
-    frame = cycles.render(first)
-    cycles.render(other)  # leaves nothing behind
+    first, *others = scenes(1)
+    assert not first.things and others[-1].things
+    frame, kept = cycles.render(first), data_blocks(cycles)
+    for other in others:  # leaves nothing behind
+        cycles.render(other)
+        cycles.amodal(other)
+    assert data_blocks(cycles) == kept
     for again in (cycles.render(first), BlenderRenderer(WIDTH, HEIGHT, samples=4).render(first)):
         for name in ("rgb", "alpha", "depth_m", "part_labels"):
             np.testing.assert_array_equal(getattr(frame, name), getattr(again, name))

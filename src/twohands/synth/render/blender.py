@@ -21,11 +21,11 @@ from typing import Any
 import numpy as np
 
 from twohands.errors import MissingExtraError, RendererError
-from twohands.skeleton import LEFT, RIGHT
+from twohands.skeleton import LEFT, N_PART_LABELS, RIGHT
 from twohands.synth.body import load_asset
-from twohands.synth.render.blender_materials import build_labels, build_skin, build_sky
+from twohands.synth.render.blender_materials import build_labels, build_skin, build_sky, build_things
 from twohands.synth.render.raster import FAR_M, NEAR_M
-from twohands.synth.render.surface import posed_vertices, surface
+from twohands.synth.render.surface import ThingMesh, posed_things, posed_vertices, surface
 from twohands.synth.scene import Lighting, SceneSpec
 from twohands.types import PinholeCamera, RenderedFrame
 
@@ -98,6 +98,9 @@ class BlenderRenderer:
         self._skin = _with_nodes(bpy.data.materials.new("skin"))
         for mesh in self._meshes:
             mesh.materials.append(self._skin)
+        self._things = bpy.data.objects.new("things", bpy.data.meshes.new("things"))
+        self._things.data.materials.append(_with_nodes(bpy.data.materials.new("things")))
+        build_things(self._things.data.materials[0].node_tree)
         labels = _with_nodes(bpy.data.materials.new("labels"))
         labels.cycles.emission_sampling = "NONE"  # it lights nothing
         build_labels(labels.node_tree)
@@ -125,17 +128,19 @@ class BlenderRenderer:
             scene: its camera must have this renderer's image size.
 
         Returns:
-            Colour, alpha, labels and depth; a pixel has a label exactly where it has depth and alpha (SPEC 1.1).
+            Colour, alpha, labels and depth; a pixel has a label exactly where it has depth and alpha (SPEC 1.1), but
+            for things that are no part of a hand.
         """
         if (scene.camera.width, scene.camera.height) != (self.width, self.height):
             raise ValueError(f"scene is {scene.camera.width}x{scene.camera.height}, not {self.width}x{self.height}")
         vertices, rest = posed_vertices(scene) * BLENDER_FROM_CAMERA, scene.body.vertices
         side_of = load_asset().side
-        for side, (arm, mesh) in enumerate(zip(self._arms, self._meshes, strict=True)):
-            arm.hide_render = not scene.present[side]
+        for side, mesh in enumerate(self._meshes):
             _write(mesh.attributes["position"], vertices[side_of == side])
             _write(mesh.attributes["rest"], rest[side_of == side])
             mesh.update()
+        _write_things(self._things.data, posed_things(scene))
+        self._show(scene.present, things=True)
         for target in (self._colour, self._labels):
             place_camera(target, scene.camera)
         build_skin(self._skin.node_tree, scene)
@@ -143,10 +148,28 @@ class BlenderRenderer:
         self._hang_lamps(scene.lighting, scene.scale)
         return _frame(self._picture(self._colour), self._picture(self._labels), scene)
 
+    def amodal(self, scene: SceneSpec) -> np.ndarray:
+        """Amodal masks of the scene that was just rendered.
+
+        Returns:
+            (2, H, W) bool, the pixels that each arm covers when it is drawn alone.
+        """
+        masks = np.zeros((2, self.height, self.width), bool)
+        for side in np.flatnonzero(scene.present):
+            self._show(np.arange(2) == side, things=False)
+            masks[side] = self._picture(self._labels)[..., 0] > 0.5
+        return masks
+
+    def _show(self, arms: np.ndarray, *, things: bool) -> None:
+        """Shows those of the (2,) arms alone, with or without the things."""
+        self._things.hide_render = not things
+        for arm, shown in zip(self._arms, arms, strict=True):
+            arm.hide_render = not shown
+
     def _scene(self, name: str, samples: int) -> Any:
-        """A Blender scene with the arms and the camera, whose pictures are linear and exact."""
+        """A Blender scene with arms, things and camera, whose pictures are linear and exact."""
         scene = self._bpy.data.scenes.new(name)
-        for shown in (*self._arms, self._camera):
+        for shown in (*self._arms, self._things, self._camera):
             scene.collection.objects.link(shown)
         scene.camera = self._camera
         render, cycles = scene.render, scene.cycles
@@ -227,6 +250,19 @@ def _arm_mesh(bpy: Any, side: int) -> Any:
     return mesh
 
 
+def _write_things(mesh: Any, things: ThingMesh | None) -> None:
+    """Puts a scene's things into a Blender mesh, in place of those of the scene before."""
+    mesh.clear_geometry()
+    if things is None:
+        return
+    mesh.from_pydata((things.position * BLENDER_FROM_CAMERA).tolist(), [], things.faces.tolist())
+    mesh.shade_smooth()
+    _write(mesh.attributes.new("albedo", "FLOAT_VECTOR", "POINT"), things.albedo)
+    _write(mesh.attributes.new("roughness", "FLOAT", "POINT"), things.roughness)
+    _write(mesh.attributes.new("label", "FLOAT", "FACE"), things.label[things.faces[:, 2]])
+    mesh.normals_split_custom_set_from_vertices((things.normal * BLENDER_FROM_CAMERA).tolist())
+
+
 def _write(attribute: Any, rows: np.ndarray) -> None:
     """Fills a mesh attribute with N numbers or (N, 3) vectors."""
     attribute.data.foreach_set("value" if rows.ndim == 1 else "vector", np.ascontiguousarray(rows, np.float32).ravel())
@@ -246,7 +282,7 @@ def _frame(colour: np.ndarray, glow: np.ndarray, scene: SceneSpec) -> RenderedFr
         scene: what is in it.
     """
     labels = np.rint(glow[..., 0]).astype(np.uint8)
-    mask = labels > 0
+    mask, hands = labels > 0, (labels > 0) & (labels < N_PART_LABELS)
     coverage = colour[..., 3]
     straight = colour[..., :3] / np.maximum(coverage, 1e-3)[..., None]
     # The same tone curve as in `shaders.COLOUR_FRAGMENT`.
@@ -256,8 +292,8 @@ def _frame(colour: np.ndarray, glow: np.ndarray, scene: SceneSpec) -> RenderedFr
     return RenderedFrame(
         rgb=np.where(mask[..., None], rgb, np.uint8(0)),
         alpha=np.where(mask, alpha, np.uint8(0)),
-        depth_m=np.where(mask, glow[..., 1], np.float32(0)),
-        part_labels=labels,
+        depth_m=np.where(hands, glow[..., 1], np.float32(0)),
+        part_labels=np.where(hands, labels, np.uint8(0)),
         joints_m=scene.joints_m,
         present=scene.present,
         camera=scene.camera,

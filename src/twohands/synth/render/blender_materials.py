@@ -1,4 +1,4 @@
-"""Shader nodes of the arms' look to Cycles, after `shaders.COLOUR_FRAGMENT`, and of what carries their labels."""
+"""Shader nodes of the look of arms and things to Cycles, after the shaders of `shaders`, and of what carries labels."""
 
 from __future__ import annotations
 
@@ -57,6 +57,17 @@ def build_skin(tree: Any, scene: SceneSpec) -> None:
     }
     # Diffusion by formula: hands look the same as with random walks, which take twice the time.
     _finish(tree, add_node(tree, "ShaderNodeBsdfPrincipled", inputs, subsurface_method="BURLEY")["BSDF"])
+
+
+def build_things(tree: Any) -> None:
+    """Fills a material's node tree with the look of things, whose mesh has the attributes `albedo` and `roughness`."""
+    tree.nodes.clear()
+    inputs = {
+        "Base Color": attribute(tree, "albedo", triple=True),
+        "Roughness": attribute(tree, "roughness"),
+        "IOR": REFRACTION,
+    }
+    _finish(tree, add_node(tree, "ShaderNodeBsdfPrincipled", inputs)["BSDF"])
 
 
 def build_labels(tree: Any) -> None:

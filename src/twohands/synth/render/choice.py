@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Literal, Protocol
 
+import numpy as np
+
 from twohands.synth.render import blender, raster
 from twohands.synth.scene import SceneSpec
 from twohands.types import RenderedFrame
@@ -15,7 +17,12 @@ class Renderer(Protocol):
     """Draws scenes of one image size."""
 
     def render(self, scene: SceneSpec) -> RenderedFrame:
-        """Colour, alpha, labels and depth; a pixel has a label exactly where it has depth and alpha."""
+        """Colour, alpha, labels and depth; a pixel has a label exactly where it has depth and alpha, but for things
+        that are no part of a hand."""
+        ...
+
+    def amodal(self, scene: SceneSpec) -> np.ndarray:
+        """(2, H, W) bool, the pixels that each arm covers when it is drawn alone; of the scene just rendered."""
         ...
 
 

@@ -28,8 +28,8 @@ from twohands.synth.render.shaders import (
     THING_FRAGMENT,
     THING_VERTEX,
 )
-from twohands.synth.render.surface import surface, vertex_normals
-from twohands.synth.scene import SceneSpec, moved
+from twohands.synth.render.surface import posed_things, surface, vertex_normals
+from twohands.synth.scene import SceneSpec
 from twohands.types import PinholeCamera, RenderedFrame
 
 NEAR_M, FAR_M = 0.01, 4.0
@@ -247,22 +247,15 @@ class RasterRenderer:
 
     def _write_things(self, scene: SceneSpec) -> int:
         """Uploads the things; returns the number of their triangles' corners."""
-        if not scene.things:
+        mesh = posed_things(scene)
+        if mesh is None:
             return 0
-        rows, faces, first = [], [], 0
-        for thing in scene.things:
-            striped = thing.stripes * thing.pattern_at % 1.0 < 0.5
-            albedo = np.where(striped[:, None] & (thing.stripes > 0), thing.second, thing.albedo)
-            look = np.broadcast_to([thing.roughness, thing.label], (len(striped), 2))
-            position = moved(scene.view, thing.vertices) * scene.scale
-            rows.append(np.concatenate([position, thing.normals @ scene.view[:, :3].T, albedo, look], axis=1))
-            faces.append(thing.faces + first)
-            first += len(striped)
-        for buffer, parts, kind in ((self._thing_rows, rows, np.float32), (self._thing_faces, faces, np.int32)):
-            data = np.concatenate(parts).astype(kind).tobytes()
+        rows = np.column_stack([mesh.position, mesh.normal, mesh.albedo, mesh.roughness, mesh.label])
+        for buffer, part, kind in ((self._thing_rows, rows, np.float32), (self._thing_faces, mesh.faces, np.int32)):
+            data = part.astype(kind).tobytes()
             buffer.orphan(len(data))
             buffer.write(data)
-        return 3 * sum(map(len, faces))
+        return mesh.faces.size
 
     def _write_occluders(self, scene: SceneSpec) -> None:
         starts, ends, radii = capsules(scene.body, scene.joints_m[scene.present])

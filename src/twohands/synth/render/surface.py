@@ -1,6 +1,5 @@
-"""Per-vertex attributes of the arms that a renderer needs beside positions: labels, palm side, nails, seams.
-
-Everything here depends on the asset alone; normals also on the person.
+"""Meshes as renderers need them: the arms' attributes (labels, palm side, nails, seams), which depend on the asset
+alone, and what a scene makes of arms and things.
 """
 
 from __future__ import annotations
@@ -12,7 +11,8 @@ import numpy as np
 
 from twohands.synth.body import bone, load_asset, part_labels, skin
 from twohands.synth.pose import ArmAnatomy, dot, unit
-from twohands.synth.scene import SceneSpec
+from twohands.synth.scene import SceneSpec, moved
+from twohands.synth.things import Thing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,6 +40,27 @@ class Surface:
     faces: np.ndarray
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ThingMesh:
+    """All things of a scene as one mesh of V vertices.
+
+    Attributes:
+        position: (V, 3) camera frame, scaled metres.
+        normal: (V, 3) outward unit normals, camera frame.
+        albedo: (V, 3) linear RGB.
+        roughness: (V,) 0.1 (polished) to 0.9 (cloth).
+        label: (V,) part that wears the thing, or `things.NO_LABEL`.
+        faces: (F, 3), counter-clockwise from outside.
+    """
+
+    position: np.ndarray
+    normal: np.ndarray
+    albedo: np.ndarray
+    roughness: np.ndarray
+    label: np.ndarray
+    faces: np.ndarray
+
+
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """(V, 3) outward unit normals of a closed mesh whose triangles are counter-clockwise from outside."""
     corners = faces.T.ravel()
@@ -58,6 +79,28 @@ def posed_vertices(scene: SceneSpec) -> np.ndarray:
     thickness = clothes.thickness_m * np.maximum(sleeve, 0.3 * glove)
     dressed = body.vertices + thickness[:, None] * vertex_normals(body.vertices, body.asset.faces)
     return skin(replace(body, vertices=dressed), scene.transforms, scene.view) * scene.scale
+
+
+def posed_things(scene: SceneSpec) -> ThingMesh | None:
+    """The scene's things, or None where it has none."""
+    if not scene.things:
+        return None
+    counts = [len(thing.vertices) for thing in scene.things]
+    first = np.cumsum([0, *counts])
+    return ThingMesh(
+        np.concatenate([moved(scene.view, thing.vertices) * scene.scale for thing in scene.things]),
+        np.concatenate([thing.normals @ scene.view[:, :3].T for thing in scene.things]),
+        np.concatenate([_painted(thing) for thing in scene.things]),
+        np.repeat([thing.roughness for thing in scene.things], counts),
+        np.repeat([thing.label for thing in scene.things], counts),
+        np.concatenate([thing.faces + start for thing, start in zip(scene.things, first, strict=False)]),
+    )
+
+
+def _painted(thing: Thing) -> np.ndarray:
+    """(V, 3) albedo of a thing's vertices, stripes included."""
+    striped = (thing.stripes * thing.pattern_at % 1.0 < 0.5) & (thing.stripes > 0)
+    return np.where(striped[:, None], thing.second, thing.albedo)
 
 
 def smoothstep(low: float, high: float, x: np.ndarray) -> np.ndarray:
