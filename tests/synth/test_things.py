@@ -11,7 +11,8 @@ from twohands.synth.config import WILD
 from twohands.synth.scene import sample_scene
 from twohands.synth.things import NO_LABEL, band, superquadric
 
-CONFIG = dataclasses.replace(WILD, width=480, height=270, objects=1.0, watches=1.0, rings=1.0, gloves=0.0, sleeves=0.0)
+LADEN = {"objects": 1.0, "watches": 1.0, "rings": 1.0, "gloves": 0.0, "sleeves": 0.0}
+CONFIG = dataclasses.replace(WILD, width=480, height=270, webcam=0.0, free_view=0.0, pitch=(0.0, 0.0), **LADEN)
 
 
 @pytest.fixture(scope="module")
