@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import cv2
 import numpy as np
@@ -22,6 +22,7 @@ from twohands.errors import InputError
 from twohands.geometry.segmentation import boxes_from_energy, letterbox, masks_from_logits, network_input
 from twohands.models.blocks import fold_batch_norm
 from twohands.models.checkpoint import load_network
+from twohands.models.hand_seg_net import HandSegNetConfig
 from twohands.skeleton import LEFT, RIGHT
 from twohands.training.config import TrainConfig
 from twohands.types import HandSample
@@ -116,7 +117,8 @@ class Segmenter:
 
     def __init__(self, checkpoint: Path) -> None:
         net = load_network("hand_seg_net", checkpoint).eval()
-        self.size = (net.config.height, net.config.width_px)
+        config = cast(HandSegNetConfig, net.config)
+        self.size = (config.height, config.width_px)
         fold_batch_norm(net)
         self.net = net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
