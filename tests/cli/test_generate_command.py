@@ -135,7 +135,7 @@ def test_frames_take_no_backgrounds(tmp_path, capsys):
 @pytest.mark.slow
 def test_ctrl_c_says_how_to_go_on(tmp_path):
     """To the whole process group, as a terminal sends it: no traceback of any process."""
-    options = ["--count", "500", "--workers", "2", "--config.width", "128", "--config.height", "72"]
+    options = ["--count", "5000", "--workers", "2", "--config.width", "128", "--config.height", "72"]
     command = [sys.executable, "-m", "twohands.cli.main", "generate", "static", "--out", str(tmp_path / "s"), *options]
     run = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
     index = tmp_path / "s" / "index.jsonl"
