@@ -41,7 +41,7 @@ class RangeSmoothing:
         InputError: a value is out of its range.
     """
 
-    length: int = 8
+    length: int = 5
     "Radii in the queue, the current one included; 1 or 2 turn smoothing off."
     degree: int = 1
     "Degree of the polynomial; lower while the queue fills."
