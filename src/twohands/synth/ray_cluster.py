@@ -83,9 +83,13 @@ class RayCluster:
             expected = fingerprint(self.made_with)
             actors: list[Any] = [actor.remote(opener, self.made_with, expected) for _ in range(workers)]
             turn = count()
-            yield from ordered(
-                lambda index: actors[next(turn) % workers].work.remote(index), _collect, indices, workers
-            )
+            try:
+                yield from ordered(
+                    lambda index: actors[next(turn) % workers].work.remote(index), _collect, indices, workers
+                )
+            finally:  # or they would keep their cores as long as an error's traceback keeps their handles
+                for each in actors:
+                    ray.kill(each)
 
     @contextmanager
     def _connected(self, ray: Any) -> Iterator[None]:
@@ -96,12 +100,19 @@ class RayCluster:
         try:
             ray.init(log_to_driver=False, logging_level="ERROR", **self._options())
         except (ConnectionError, ValueError, RuntimeError) as error:
-            where = "could be started here" if self.address is None else f"answers at '{self.address}'"
-            raise InputError(f"no Ray cluster {where}: {_first_line(error)}") from error
+            raise InputError(f"no Ray cluster {self._complaint(error)}") from error
         try:
             yield
         finally:
             ray.shutdown()
+
+    def _complaint(self, error: Exception) -> str:
+        if self.address == "auto":
+            return "runs on this machine: start or join one with `ray start`, or leave --ray-address out"
+        if self.address is None:
+            return f"could be started: {_first_line(error)}"
+        hint = "where it asks for a token, set RAY_AUTH_MODE and RAY_AUTH_TOKEN_PATH as there"
+        return f"lets us in at '{self.address}': {_first_line(error)} ({hint})"
 
     def _options(self) -> dict[str, Any]:
         """Arguments of ray.init. A cluster of our own reports nothing to anyone; an existing one keeps its settings."""
