@@ -35,6 +35,7 @@ EXTRAS = {
     "moderngl": {"synth"},
     "anny": {"synth"},
     "matplotlib": {"visualization"},
+    "ray": set(),
 }
 """Optional packages, and the rooms whose modules may need them to be imported; elsewhere only inside functions."""
 

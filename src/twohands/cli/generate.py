@@ -60,7 +60,14 @@ class GenerateArgs:
     """raster: OpenGL, milliseconds a picture; blender: the same scenes and labels, path-traced by Blender's Cycles,
     over a hundred times slower (extra 'blender', Python 3.11)."""
     workers: int = 0
-    """Processes; 0 takes all cores: one process each, but for Blender a single one, which uses them all."""
+    """Processes; 0 takes all cores, of the machine or of the cluster: one process each, but for Blender a single one,
+    which uses them all."""
+    engine: Literal["local", "ray"] = "local"
+    """Who makes a static or dynamic set: processes of this machine, or a Ray cluster, with the same bytes (extra
+    'cluster')."""
+    ray_address: str | None = None
+    """HOST:PORT of a running Ray cluster's head, "auto" for the cluster that this machine belongs to; if not given, one
+    is started on this machine (ray)."""
     preset: Literal["paper", "wild"] = "paper"
     """paper: one character and one camera, as in the paper; wild: all kinds of adults, cameras and clothes, hands that
     meet. Settings given as --config.NAME change it."""
@@ -74,6 +81,10 @@ def run(args: GenerateArgs) -> int:
     """Generate, with progress, rate and time left."""
     if args.workers < 0:
         raise InputError(f"--workers must be 0 (all cores) or more, got {args.workers}")
+    if args.ray_address is not None and args.engine != "ray":
+        raise InputError("--ray-address needs --engine ray")
+    if args.engine == "ray" and args.backgrounds is not None:  # its workers have other working directories
+        args = dataclasses.replace(args, backgrounds=args.backgrounds.absolute())
     args = dataclasses.replace(args, config=configured(args))
     return {"static": _static, "dynamic": _dynamic, "frames": _frames}[args.kind](args)
 
@@ -93,8 +104,21 @@ def workers_of(args: GenerateArgs) -> int:
     return args.workers or (1 if args.renderer == "blender" else os.cpu_count()) or 1
 
 
-def executor_of(args: GenerateArgs) -> Executor:
-    """Who does the work: processes of this machine."""
+def executor_of(args: GenerateArgs, production: Production) -> Executor:
+    """Who does the work.
+
+    Raises:
+        MissingExtraError: Ray is asked for and not installed.
+        InputError: nothing answers at the address of the Ray cluster.
+    """
+    if args.engine == "ray":
+        from twohands.synth.ray_cluster import RayCluster
+
+        workers = workers_of(args) if args.renderer == "blender" else args.workers
+        cluster = RayCluster(args.ray_address, workers, production.made_with)
+        cluster.check()
+        return cluster
+
     from twohands.synth.executors import LocalProcesses
 
     return LocalProcesses(workers_of(args))
@@ -106,7 +130,7 @@ def _static(args: GenerateArgs) -> int:
     if args.backgrounds is None:
         print("backgrounds: procedural; give photographs with --backgrounds FOLDER")
     static_set = StaticSet(args.config, args.seed, args.count, args.backgrounds, args.split, args.renderer)
-    report(write(static_set, args, executor_of(args)), args, len(static_set))
+    report(write(static_set, args, executor_of(args, static_set)), args, len(static_set))
     return 0
 
 
@@ -157,6 +181,8 @@ def _frames(args: GenerateArgs) -> int:
 
     if args.backgrounds or args.split != "train" or args.format != "ego3dhands":
         raise InputError("frames have no background, split or format: leave --backgrounds, --split and --format out")
+    if args.engine != "local":
+        raise InputError("frames are made on this machine alone: leave --engine out")
     config = dataclasses.replace(args.config, width=FRAME_SIZE[0], height=FRAME_SIZE[1])
     with progress_of("frames") as progress:
         build_cache(
@@ -190,5 +216,5 @@ def _dynamic(args: GenerateArgs) -> int:
     )
     for path, reason in dynamic_set.clips.skipped:
         print(f"background skipped: {path.name}: {reason}")
-    report(write(dynamic_set, args, executor_of(args)), args, len(dynamic_set))
+    report(write(dynamic_set, args, executor_of(args, dynamic_set)), args, len(dynamic_set))
     return 0

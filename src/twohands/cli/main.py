@@ -36,6 +36,7 @@ _EXTRA_OF_MODULE = {
     "moderngl": "synth",
     "anny": "synth-bake",
     "matplotlib": "view",
+    "ray": "cluster",
 }
 
 EXIT_USER_ERROR = 2

@@ -1,4 +1,4 @@
-"""Who does the work of a long run: this process or several.
+"""Who does the work of a long run: this process, several, or a cluster (`ray_cluster.py`).
 
 All of them do the same: call a function on numbers, and hand back the results in the order of the numbers, so that what
 is written does not depend on who made it.
