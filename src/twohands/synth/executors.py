@@ -7,15 +7,14 @@ is written does not depend on who made it.
 from __future__ import annotations
 
 import multiprocessing
-import os
 import signal
-import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import islice
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnContext
 from typing import Any, Protocol, TypeVar
 
 from twohands.errors import InputError, TwoHandsError
@@ -27,6 +26,8 @@ not be."""
 
 AHEAD = 4
 """Jobs handed out per worker before the oldest must be done: enough to hide one slow job, few enough for the memory."""
+JOBS = 2
+"""Jobs of a worker at a time: the one it does and the next."""
 
 
 class Executor(Protocol):
@@ -69,16 +70,80 @@ class LocalProcesses:
             return
         # Spawned, for a process that has held an OpenGL context does not survive a fork.
         context = multiprocessing.get_context("spawn")
-        pool = ProcessPoolExecutor(self.workers, mp_context=context, initializer=_start_worker, initargs=(opener,))
-        with pool:
-            try:
-                yield from ordered(lambda index: pool.submit(_work, index), Future.result, indices, self.workers)
-            except BrokenProcessPool as error:
-                raise TwoHandsError(
-                    "a worker process died (killed, or out of memory): run the same command again to go on"
-                ) from error
-            finally:
-                pool.shutdown(wait=False, cancel_futures=True)
+        crew = [_Worker(context, opener) for _ in range(self.workers)]
+        try:
+            yield from _share_out(crew, indices)
+        finally:
+            for worker in crew:
+                worker.pipe.close()  # it finishes its job and goes
+            for worker in crew:
+                worker.process.join(timeout=5)
+
+
+class _Worker:
+    """A process with a pipe of its own, so that one that is killed in the middle of an answer blocks no other, and is
+    noticed: the pipe ends. (The shared pipe of a `ProcessPoolExecutor` would hang.)"""
+
+    def __init__(self, context: SpawnContext, opener: Opener[Any]) -> None:
+        self.pipe, theirs = context.Pipe()
+        self.process = context.Process(target=_serve, args=(theirs, opener), daemon=True)
+        self.process.start()
+        theirs.close()
+        self.jobs = 0
+
+    def give(self, index: int) -> None:
+        """One job more."""
+        with _told():
+            self.pipe.send(index)
+        self.jobs += 1
+
+    def take(self) -> tuple[int, Any, BaseException | None]:
+        """Waits for the next answer: index, result, and what was raised instead."""
+        with _told():
+            answer = self.pipe.recv()
+        self.jobs -= 1
+        return answer
+
+
+@contextmanager
+def _told() -> Iterator[None]:
+    """A pipe that ended is a process that died."""
+    try:
+        yield
+    except (EOFError, OSError) as error:
+        raise TwoHandsError(
+            "a worker process died (killed, or out of memory): run the same command again to go on"
+        ) from error
+
+
+def _share_out(crew: Sequence[_Worker], indices: Iterable[int]) -> Iterator[Any]:
+    """Results in the order of the indices, each worker with a job and the next one.
+
+    Raises:
+        TwoHandsError: a worker died.
+    """
+    remaining = iter(indices)
+    order: deque[int] = deque()
+    done: dict[int, tuple[Any, BaseException | None]] = {}
+    while True:
+        for worker in crew:
+            room = min(JOBS - worker.jobs, AHEAD * len(crew) - len(order))
+            for index in islice(remaining, max(room, 0)):
+                worker.give(index)
+                order.append(index)
+        if not order:
+            return
+        if order[0] in done:
+            result, error = done.pop(order.popleft())
+            if error is not None:
+                raise error
+            yield result
+            continue
+        ready = wait([worker.pipe for worker in crew if worker.jobs])
+        for worker in crew:
+            if worker.pipe in ready:
+                index, result, error = worker.take()
+                done[index] = result, error
 
 
 def ordered(
@@ -107,30 +172,16 @@ def _run_here(opener: Opener[Result], indices: Iterable[int]) -> Iterator[Result
         yield work(index)
 
 
-_opener: Opener[Any] | None = None
-_opened: Callable[[int], Any] | None = None
-"""Of a worker process: set by `_start_worker` and by its first job, so that what fails there is raised as a result."""
-
-
-def _start_worker(opener: Opener[Any]) -> None:
-    global _opener
+def _serve(pipe: Connection, opener: Opener[Any]) -> None:
+    """What a worker does until its pipe ends, with or without the process at the other end."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes; the first one ends the others
-    _opener = opener
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    """A pool's processes would wait for ever for work from a process that was killed."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
-
-
-def _work(index: int) -> Any:
-    global _opened
-    if _opener is None:
-        raise RuntimeError("worker was not started")
-    if _opened is None:
-        _opened = _opener()
-    return _opened(index)
+    work: Callable[[int], Any] | None = None
+    with suppress(EOFError, OSError):
+        while True:
+            index = pipe.recv()
+            try:
+                work = work or opener()
+                answer = index, work(index), None
+            except Exception as error:
+                answer = index, None, error
+            pipe.send(answer)
