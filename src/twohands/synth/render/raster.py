@@ -173,17 +173,22 @@ class RasterRenderer:
         self._draw(self._label_array, scene.present)
         if corners:
             self._thing_arrays[1].render(vertices=corners)
-        self._multisampled.use()
-        self.ctx.clear(0.0, 0.0, 0.0, 0.0)
-        self._draw(self._colour_array, scene.present)
-        if corners:
-            self._thing_arrays[0].render(vertices=corners)
-        self.ctx.copy_framebuffer(self._resolved, self._multisampled)
-
         shape = (self.height, self.width)
         labels = np.frombuffer(self._labelled.read(components=1, alignment=1), np.uint8).reshape(shape)
         depth = np.frombuffer(self._labelled.read(components=1, attachment=1, dtype="f4"), np.float32).reshape(shape)
-        colour = np.frombuffer(self._resolved.read(components=4), np.uint8).reshape(*shape, 4)
+        colour = np.zeros((*shape, 4), np.uint8)
+        # Only pixels with a label keep their colour: nothing else need be cleared, drawn or resolved.
+        u, v, width, height = area = cv2.boundingRect(labels)
+        if width:
+            self._multisampled.scissor = area  # holds for the copy too
+            self._multisampled.use()
+            self.ctx.clear(0.0, 0.0, 0.0, 0.0)
+            self._draw(self._colour_array, scene.present)
+            if corners:
+                self._thing_arrays[0].render(vertices=corners)
+            self.ctx.copy_framebuffer(self._resolved, self._multisampled)
+            pixels = np.frombuffer(self._resolved.read(viewport=area, components=4), np.uint8)
+            colour[v : v + height, u : u + width] = pixels.reshape(height, width, 4)
         return _frame(colour, labels, depth, scene)
 
     def amodal(self, scene: SceneSpec) -> np.ndarray:

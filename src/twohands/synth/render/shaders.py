@@ -29,11 +29,20 @@ float noise(vec3 x) {
 }
 """
 
+_GRAIN: Final = """
+// Fine texture, about -0.5 to 0.5, for less than half the price of `noise`: triangle waves, bent twice.
+float grains(vec3 x) {
+    x += 1.9 * abs(fract(x.yzx * 0.171) - 0.5);
+    x += 1.3 * abs(fract(x.zxy * 0.431 + 0.3) - 0.5);
+    vec3 phase = mat3(0.33, -0.27, 0.24, 0.29, 0.36, -0.19, -0.21, 0.25, 0.41) * x;
+    return 0.6 * dot(abs(fract(phase) - 0.5), vec3(1.0)) - 0.45;
+}
+"""
+
 _TONE: Final = """
-vec4 tone(vec3 lit) {  // to sRGB by roots, which cost less than powers
-    vec3 x = clamp(lit / (1.0 + 0.25 * lit), 0.0, 1.0);
-    vec3 a = sqrt(x), b = sqrt(a), c = sqrt(b);
-    return vec4(0.662002687 * a + 0.684122060 * b - 0.323583601 * c - 0.022541147 * x, 1.0);
+vec4 tone(vec3 lit) {  // sRGB's curve within 2 levels, 6 in the deepest shadows, by a root: a power would cost more
+    vec3 root = sqrt(clamp(lit / (1.0 + 0.25 * lit), 0.0, 1.0));
+    return vec4(root * (1.1386 - 0.1386 * root), 1.0);
 }
 
 // Highlight: Blinn-Phong's lobe, its power replaced by the Gaussian that it tends to.
@@ -268,7 +277,7 @@ in float on_arm;
 in float blotch;
 out vec4 colour;
 
-{_NOISE}
+{_GRAIN}
 {_TONE}
 
 void main() {{
@@ -277,7 +286,7 @@ void main() {{
     float towards = dot(n, v);
     if (towards < 0.0) n = normalize(n - 1.05 * towards * v);
 
-    float grain = noise((rest_position + noise_offset) * 500.0) - 0.5;
+    float grain = grains((rest_position + noise_offset) * 500.0 + blotch * vec3(9.0, -7.0, 8.0));
     vec3 base = mix(albedo, palm_albedo, skin.x);
     base *= 1.0 + mottle * (0.35 * blotch + 0.4 * grain);
     base *= mix(vec3(1.0), vec3(1.06, 0.86, 0.84), skin.y * 0.8 + mottle * 0.5 * blotch);
