@@ -27,6 +27,12 @@ def test_version(capsys):
     assert capsys.readouterr().out == f"twohands {twohands.__version__}\n"
 
 
+def test_the_package_runs_as_a_module():
+    done = subprocess.run([sys.executable, "-m", "twohands", "--version"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, f"twohands {twohands.__version__}\n")
+    assert subprocess.run([sys.executable, "-m", "twohands", "xyzzy"], capture_output=True, check=False).returncode == 2
+
+
 @pytest.mark.parametrize(
     ("word", "hint"), [("trak", "did you mean 'track'?"), ("xyzzy", "known: track"), ("--foo", "known:")]
 )
