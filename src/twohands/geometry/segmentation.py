@@ -115,11 +115,11 @@ def masks_from_logits(logits: np.ndarray, image_size: tuple[int, int], present: 
     """
     height, width = image_size
     masks = np.zeros((height, width), np.uint8)
-    largest = np.zeros((height, width), np.float32)
+    largest, lead = np.zeros((2, height, width), np.float32)  # used again and again: fresh memory is slow to get
     for hand in 1 + np.flatnonzero(present):  # one class after the other: np.argmax over all takes four times as long
-        lead = cv2.resize(np.asarray(logits[hand] - logits[0], np.float32), (width, height))
+        cv2.resize(np.asarray(logits[hand] - logits[0], np.float32), (width, height), dst=lead)
         masks[lead > largest] = hand
-        largest = cv2.max(largest, lead)
+        cv2.max(largest, lead, dst=largest)
     return masks
 
 
