@@ -41,10 +41,17 @@ def test_every_picture_comes_once_per_epoch_in_a_new_order():
 
 
 def test_processes_share_the_pictures():
-    config = tiny_run("pose_net_2d", batch_images=2)
-    parts = [BatchDataset(SAMPLES * 4, config, rank, 2).picks(0) for rank in (0, 1)]
-    alone = BatchDataset(SAMPLES * 4, dataclasses.replace(config, batch_images=4)).picks(0)
-    assert parts[0] + parts[1] == alone
+    config = tiny_run("pose_net_2d", batch_images=6)
+    alone = BatchDataset(SAMPLES, config)
+    for step in range(4):
+        for world_size in (2, 3):
+            parts = [BatchDataset(SAMPLES, config, rank, world_size) for rank in range(world_size)]
+            assert [pick for part in parts for pick in part.picks(step)] == alone.picks(step)
+        batches = [BatchDataset(SAMPLES, config, rank, 2)[step] for rank in range(2)]
+        whole = alone[step]
+        assert all(torch.equal(torch.cat([part[name] for part in batches]), whole[name]) for name in whole)
+    with pytest.raises(InputError, match="batch of 6 pictures cannot be shared evenly by 4 processes"):
+        BatchDataset(SAMPLES, config, 0, 4)
 
 
 def test_random_changes_differ_between_epochs_and_seeds():
@@ -59,9 +66,9 @@ def test_random_changes_differ_between_epochs_and_seeds():
 @pytest.mark.parametrize("stage", ["hand_seg_net", "pose_net_2d"])
 def test_workers_change_nothing(stage):
     config = tiny_run(stage, iterations=5)
-    alone = list(batch_loader(BatchDataset(SAMPLES, config), 2))
+    alone = [batch for _, batch in batch_loader(BatchDataset(SAMPLES, config), 2)]
     config = dataclasses.replace(config, data=dataclasses.replace(config.data, workers=2))
-    helped = list(batch_loader(BatchDataset(SAMPLES, config), 2))
+    helped = [batch for _, batch in batch_loader(BatchDataset(SAMPLES, config), 2)]
     assert len(alone) == len(helped) == 3
     assert all(equal(a, b) for a, b in zip(alone, helped, strict=True))
 
@@ -71,7 +78,10 @@ def test_every_usable_hand_is_a_crop():
     one = make_sample(np.random.default_rng(0), present=(False, True))
     none = make_sample(np.random.default_rng(0), present=(False, False))
     assert BatchDataset([one, one], config)[0]["side"].tolist() == [1, 1]
-    assert BatchDataset([none, none], config)[0] == {}
+    nobody = BatchDataset([none, none], config)[0]
+    shapes = {name: values.shape[1:] for name, values in BatchDataset(SAMPLES, config)[0].items()}
+    assert {name: values.shape[1:] for name, values in nobody.items()} == shapes
+    assert {len(values) for values in nobody.values()} == {0}
 
 
 @pytest.fixture(scope="module")
@@ -141,9 +151,9 @@ def test_a_hand_that_was_missed_keeps_its_true_crop(segmented_run):
 
 def test_workers_load_the_segmentation_themselves(segmented_run):
     config = dataclasses.replace(segmented_run, iterations=2)
-    alone = list(batch_loader(BatchDataset(SAMPLES, config), 0))
+    alone = [batch for _, batch in batch_loader(BatchDataset(SAMPLES, config), 0)]
     config = dataclasses.replace(config, data=dataclasses.replace(config.data, workers=1))
-    helped = list(batch_loader(BatchDataset(SAMPLES, config), 0))
+    helped = [batch for _, batch in batch_loader(BatchDataset(SAMPLES, config), 0)]
     assert all(equal(a, b) for a, b in zip(alone, helped, strict=True))
 
 

@@ -127,7 +127,9 @@ def test_log_config_and_note(tmp_path):
     logged = rows(tmp_path / "run")
     assert [int(row["iteration"]) for row in logged if row["metric"] == "loss"] == [2, 4]
     assert [int(row["iteration"]) for row in logged if row["metric"] == "image_px_mean"] == [2, 4]
-    assert len(lines) == 4
+    assert len(lines) == 6
+    speeds = {row["metric"]: float(row["value"]) for row in logged if row["split"] == "speed"}
+    assert speeds.keys() == {"stream_per_s", "step_per_s"} and min(speeds.values()) > 0
     parts = {
         row["metric"]: float(row["value"]) for row in logged if row["iteration"] == "2" and row["split"] == "train"
     }
@@ -185,11 +187,20 @@ def test_pose_net_3d_needs_pose_net_2d(tmp_path):
 
 
 def test_ideal_maps_replace_half_of_the_hands_at_first(tmp_path):
-    config = tiny_run("pose_net_3d", truth_maps=5)
-    stage = build_stage(config, pose_weights(tmp_path))
-    picks = torch.cat([stage._truth_picks(40, iteration).flatten() for iteration in range(20)])
-    assert 0.4 < picks.float().mean() < 0.6
-    assert torch.equal(stage._truth_picks(40, 3), stage._truth_picks(40, 3))
+    from twohands.training.batches import BatchDataset
+
+    config = dataclasses.replace(tiny_run("pose_net_3d"), truth_maps=5, batch_images=6)
+    lots = torch.cat([BatchDataset(SAMPLES, config)[step]["lot"] for step in range(40)])
+    assert 0.4 < (lots < 0.5).float().mean() < 0.6
+    stage = build_stage(config, pose_weights(tmp_path)).train()
+    batch = BatchDataset(SAMPLES, config)[0]
+    seen: list[torch.Tensor] = []
+    stage.net_3d.register_forward_pre_hook(lambda _, inputs: seen.append(inputs[0].detach()))
+    for iteration in (4, 5):
+        stage(batch, iteration)
+    ideal = stage._ideal_maps(batch)
+    same = [torch.isclose(maps, ideal).flatten(1).all(dim=1) for maps in seen]
+    assert torch.equal(same[0], batch["lot"] < 0.5) and not same[1].any()
 
 
 def test_optimizers_of_the_recipes():

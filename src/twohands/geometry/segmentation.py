@@ -103,7 +103,7 @@ def network_input(images: np.ndarray) -> np.ndarray:
 def masks_from_logits(logits: np.ndarray, image_size: tuple[int, int], present: np.ndarray) -> np.ndarray:
     """Per-pixel class at full resolution.
 
-    The logits are enlarged before the decision, which keeps outlines smooth.
+    Each hand's lead over the background is enlarged before the decision, which keeps outlines smooth.
 
     Args:
         logits: (3, h, w) for background, left, right.
@@ -115,11 +115,11 @@ def masks_from_logits(logits: np.ndarray, image_size: tuple[int, int], present: 
     """
     height, width = image_size
     masks = np.zeros((height, width), np.uint8)
-    largest = cv2.resize(np.ascontiguousarray(logits[0], np.float32), (width, height))
+    largest, lead = np.zeros((2, height, width), np.float32)  # used again and again: fresh memory is slow to get
     for hand in 1 + np.flatnonzero(present):  # one class after the other: np.argmax over all takes four times as long
-        enlarged = cv2.resize(np.ascontiguousarray(logits[hand], np.float32), (width, height))
-        np.copyto(masks, np.uint8(hand), where=enlarged > largest)
-        np.maximum(largest, enlarged, out=largest)
+        cv2.resize(np.asarray(logits[hand] - logits[0], np.float32), (width, height), dst=lead)
+        masks[lead > largest] = hand
+        cv2.max(largest, lead, dst=largest)
     return masks
 
 
@@ -134,8 +134,7 @@ def otsu_threshold(energy: np.ndarray) -> float:
 
     Source: paper section 4.1; Otsu 1979.
     """
-    level, _ = cv2.threshold(_grey_levels(energy), 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
-    return level / 255.0
+    return _foreground(energy)[0] / 255.0
 
 
 def energy_box(energy: np.ndarray) -> np.ndarray | None:
@@ -150,8 +149,7 @@ def energy_box(energy: np.ndarray) -> np.ndarray | None:
     Source: paper section 4.1. The opening and the choice of the largest component are ours (SPEC 2): a second blob,
     usually the other hand's, would stretch the box over both.
     """
-    threshold = round(otsu_threshold(energy) * 255)
-    mask = (_grey_levels(energy) > threshold).astype(np.uint8)
+    _, mask = _foreground(energy)
     side = 2 * round((OPENING_SIZE * energy.shape[1] / REFERENCE_WIDTH - 1) / 2) + 1
     if side > 1:
         mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((side, side), np.uint8))
@@ -189,7 +187,6 @@ def boxes_from_energy(
     return HandBoxes(boxes_px, found, scores)
 
 
-def _grey_levels(energy: np.ndarray) -> np.ndarray:
-    """(h, w) energies 0..1 as uint8 levels."""
-    levels: Floats = np.rint(energy * 255.0)
-    return np.minimum(np.maximum(levels, 0), 255).astype(np.uint8)
+def _foreground(energy: np.ndarray) -> tuple[float, np.ndarray]:
+    """Otsu's grey level, 0..255, of an energy map, and the (h, w) uint8 mask of what lies above it."""
+    return cv2.threshold(cv2.convertScaleAbs(energy, alpha=255.0), 0, 1, cv2.THRESH_BINARY + cv2.THRESH_OTSU)

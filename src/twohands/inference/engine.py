@@ -14,6 +14,9 @@ import numpy as np
 from twohands.errors import CheckpointError
 from twohands.skeleton import N_JOINTS
 
+HEAVY_LAYERS = ("Convolution", "FullyConnected", "MatMul")
+"""OpenVINO's names of the layers that take nearly all the time."""
+
 
 @dataclass(frozen=True, slots=True)
 class Networks:
@@ -24,11 +27,13 @@ class Networks:
             (B, 2, h', w') for left, right.
         pose_net_2d: (B, 3, S, S) -> heatmaps (B, 21, M, M).
         pose_net_3d: (B, 21, M, M) -> canonical joints (B, 21, 3) of a left-like hand.
+        runtime: what runs them and in which arithmetic, for the reader.
     """
 
     hand_seg_net: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
     pose_net_2d: Callable[[np.ndarray], np.ndarray]
     pose_net_3d: Callable[[np.ndarray], np.ndarray]
+    runtime: str = "functions"
 
 
 class OpenVinoNetwork:
@@ -40,12 +45,13 @@ class OpenVinoNetwork:
         path: the ONNX file.
         input_channels: the channel count that this role in the pipeline feeds.
         output_channels: second dimension of each output that this role promises.
+        threads: CPU threads; 0 leaves OpenVINO's choice.
 
     Raises:
         CheckpointError: the file is missing, damaged, or holds a network for another role.
     """
 
-    def __init__(self, path: Path, *, input_channels: int, output_channels: tuple[int, ...]) -> None:
+    def __init__(self, path: Path, *, input_channels: int, output_channels: tuple[int, ...], threads: int = 0) -> None:
         import openvino
 
         try:
@@ -59,7 +65,8 @@ class OpenVinoNetwork:
                 f"{path}: another network; expected {input_channels} channels in and {list(output_channels)} out, "
                 f"found {found_in} in and {found_out} out"
             )
-        self._network = openvino.compile_model(model, "CPU", {"PERFORMANCE_HINT": "LATENCY"})
+        settings = {"PERFORMANCE_HINT": "LATENCY", "INFERENCE_NUM_THREADS": threads}
+        self._network = openvino.compile_model(model, "CPU", settings)
 
     def __call__(self, batch: np.ndarray) -> tuple[np.ndarray, ...]:
         """Run the network.
@@ -73,22 +80,46 @@ class OpenVinoNetwork:
         result = self._network([np.ascontiguousarray(batch, dtype=np.float32)])
         return tuple(result[port] for port in self._network.outputs)
 
+    @property
+    def threads(self) -> int:
+        """CPU threads that it really uses."""
+        return self._network.get_property("INFERENCE_NUM_THREADS")
 
-def load_networks(folder: Path) -> Networks:
+    @property
+    def arithmetic(self) -> set[str]:
+        """Numbers that convolutions and matrices are multiplied in: "f32", "bf16", "f16", "int8"; as compiled for this
+        processor, whatever the file says."""
+        layers = [op.get_rt_info() for op in self._network.get_runtime_model().get_ops()]
+        heavy = [layer for layer in layers if layer["layerType"].value in HEAVY_LAYERS]
+        found = {str(layer["runtimePrecision"].value) for layer in heavy}
+        return {"int8" if name in ("u8", "i8") else name for name in found}
+
+
+def load_networks(folder: Path, threads: int = 0) -> Networks:
     """Compile the three networks of a preset's folder.
+
+    Args:
+        folder: of the preset.
+        threads: CPU threads; 0 leaves OpenVINO's choice, all cores.
 
     Raises:
         CheckpointError: a file is missing, damaged, or holds another network.
     """
-    seg = OpenVinoNetwork(folder / "hand_seg_net.onnx", input_channels=3, output_channels=(3, 2))
-    pose_2d = OpenVinoNetwork(folder / "pose_net_2d.onnx", input_channels=3, output_channels=(N_JOINTS,))
-    pose_3d = OpenVinoNetwork(folder / "pose_net_3d.onnx", input_channels=N_JOINTS, output_channels=(N_JOINTS,))
+
+    def compiled(name: str, inputs: int, *outputs: int) -> OpenVinoNetwork:
+        return OpenVinoNetwork(folder / f"{name}.onnx", input_channels=inputs, output_channels=outputs, threads=threads)
+
+    seg = compiled("hand_seg_net", 3, 3, 2)
+    pose_2d = compiled("pose_net_2d", 3, N_JOINTS)
+    pose_3d = compiled("pose_net_3d", N_JOINTS, N_JOINTS)
+    arithmetic = " and ".join(sorted(seg.arithmetic | pose_2d.arithmetic | pose_3d.arithmetic))
+    runtime = f"OpenVINO on {seg.threads} thread{'s'[: seg.threads > 1]} in {arithmetic}"
 
     def hand_seg_net(batch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         seg_logits, energy_logits = seg(batch)
         return seg_logits, energy_logits
 
-    return Networks(hand_seg_net, lambda batch: pose_2d(batch)[0], lambda batch: pose_3d(batch)[0])
+    return Networks(hand_seg_net, lambda batch: pose_2d(batch)[0], lambda batch: pose_3d(batch)[0], runtime)
 
 
 def _channels(port: object) -> int | None:

@@ -72,15 +72,19 @@ class HandEstimator:
         self.card = card
 
     @classmethod
-    def from_preset(cls, preset: str | Path = DEFAULT_PRESET) -> HandEstimator:
+    def from_preset(cls, preset: str | Path = DEFAULT_PRESET, threads: int = 0) -> HandEstimator:
         """Load shipped weights by name, or a folder with the same layout.
+
+        Args:
+            preset: name or folder.
+            threads: CPU threads of the networks; 0 takes all cores.
 
         Raises:
             CheckpointError: the weights are missing, damaged, or of other networks.
         """
         folder = preset_folder(preset)
         card = read_card(folder)
-        return cls(load_networks(folder), card)
+        return cls(load_networks(folder, threads), card)
 
     def estimate(
         self,
@@ -117,9 +121,7 @@ class HandEstimator:
             heatmaps = self.locate(crops, truth)
             joints_px, joint_scores = self.read_out(heatmaps, crops, truth)
             canonical = self.lift(heatmaps, crops, truth)
-            lengths_m = np.broadcast_to(hand_length_m, (2,))[sides]
-            weights = range_weights(joint_scores)
-            pose = project_global(canonical, joints_px, camera, lengths_m, method=METHOD, weights=weights)
+            pose = self.place(canonical, joints_px, joint_scores, camera, np.broadcast_to(hand_length_m, (2,))[sides])
             for i, side in enumerate(sides):
                 hands[side] = _hand_pose(boxes, side, joints_px[i], joint_scores[i], canonical[i], pose, i)
         return TwoHandPose(hands[0], hands[1], camera, masks, index, time_s)
@@ -133,14 +135,18 @@ class HandEstimator:
         size = image.shape[:2]
         masks, boxes = truth.masks, _true_boxes(truth)
         if masks is None or boxes is None:
-            canvas, place = letterbox(image, self.card.seg_input_size)
-            seg_logits, energy_logits = self.networks.hand_seg_net(network_input(canvas[None]))
+            seg_logits, energies = self.hand_maps(image)
             if boxes is None:
-                energies = 1.0 / (1.0 + np.exp(-place.content(energy_logits[0])))
                 boxes = boxes_from_energy(energies, size, present=truth.present)
             if masks is None:
-                masks = masks_from_logits(place.content(seg_logits[0]), size, boxes.present)
+                masks = masks_from_logits(seg_logits, size, boxes.present)
         return masks, boxes
+
+    def hand_maps(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """HandSegNet: seg_logits (3, h, w) and energies (2, h, w), 0..1, over the whole picture and nothing else."""
+        canvas, place = letterbox(image, self.card.seg_input_size)
+        seg_logits, energy_logits = self.networks.hand_seg_net(network_input(canvas[None]))
+        return place.content(seg_logits[0]), 1.0 / (1.0 + np.exp(-place.content(energy_logits[0])))
 
     def crop(
         self, image: np.ndarray, masks: np.ndarray, box_px: np.ndarray, side: int, camera: PinholeCamera
@@ -178,6 +184,18 @@ class HandEstimator:
             return truth.canonical[[crop.side for crop in crops]]
         unmirror = np.array([[-1.0 if crop.mirrored else 1.0, 1.0, 1.0] for crop in crops])
         return self.networks.pose_net_3d(heatmaps).astype(np.float64) * unmirror[:, None, :]
+
+    def place(
+        self,
+        canonical: np.ndarray,
+        joints_px: np.ndarray,
+        joint_scores: np.ndarray,
+        camera: PinholeCamera,
+        lengths_m: np.ndarray,
+    ) -> GlobalPose:
+        """Stage 5: canonical joints (B, 21, 3) and joints in pixels (B, 21, 2) -> metres in camera space."""
+        weights = range_weights(joint_scores)
+        return project_global(canonical, joints_px, camera, lengths_m, method=METHOD, weights=weights)
 
 
 def _check(image: np.ndarray, camera: PinholeCamera, hand_length_m: float | np.ndarray) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import bisect
 import itertools
 import signal
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,8 +24,9 @@ from twohands.geometry.segmentation import boxes_from_energy, letterbox, masks_f
 from twohands.models.blocks import fold_batch_norm
 from twohands.models.checkpoint import load_network
 from twohands.models.hand_seg_net import HandSegNetConfig
-from twohands.skeleton import LEFT, RIGHT
+from twohands.skeleton import LEFT, N_JOINTS, RIGHT
 from twohands.training.config import TrainConfig
+from twohands.training.parallel import share_of_batch
 from twohands.types import HandSample
 
 Batch = dict[str, Tensor]
@@ -155,10 +157,12 @@ def pose_batch(
             with; None for true ones.
 
     Returns:
-        The fields of `PoseTarget`, stacked over N hands; N may be 0.
+        The fields of `PoseTarget`, stacked over N hands, and lot (N,) float32, a random number in [0, 1) for each; N
+        may be 0.
     """
     size = config.networks.pose_net_2d.crop_size
     targets: list[PoseTarget] = []
+    lots: list[float] = []
     chosen = [i for i in range(len(samples)) if not rngs or rngs[i].random() < config.augment.predicted]
     predicted: dict[int, Segmentation] = {}
     if segment is not None and chosen:
@@ -177,13 +181,24 @@ def pose_batch(
             )
             if target is not None:
                 targets.append(target)
-    if not targets:
-        return {}
-    arrays = ("image", "joints_px", "weight", "canonical", "canonical_weight", "rays_from_crop", "image_from_crop")
-    batch = {name: torch.from_numpy(np.stack([getattr(t, name) for t in targets])) for name in arrays}
-    batch["distance"] = torch.tensor([t.distance for t in targets], dtype=torch.float32)
-    batch["side"] = torch.tensor([t.side for t in targets])
-    return batch
+        new = len(targets) - len(lots)
+        lots += rngs[i].random(new).tolist() if rngs else [0.0] * new
+
+    def stacked(name: str, *shape: int, kind: type = np.float32) -> Tensor:
+        return torch.from_numpy(np.array([getattr(t, name) for t in targets], kind).reshape(len(targets), *shape))
+
+    return {
+        "image": stacked("image", size, size, 3, kind=np.uint8),
+        "joints_px": stacked("joints_px", N_JOINTS, 2),
+        "weight": stacked("weight", N_JOINTS),
+        "canonical": stacked("canonical", N_JOINTS, 3),
+        "canonical_weight": stacked("canonical_weight", N_JOINTS),
+        "rays_from_crop": stacked("rays_from_crop", 3, 3),
+        "image_from_crop": stacked("image_from_crop", 3, 3),
+        "distance": stacked("distance"),
+        "side": stacked("side", kind=np.int64),
+        "lot": torch.tensor(lots, dtype=torch.float32),
+    }
 
 
 class BatchBuilder:
@@ -213,14 +228,18 @@ class BatchDataset(Dataset[Batch]):
     Args:
         source: the training pictures.
         config: the run.
-        rank: this process among `world_size`; each takes its own pictures.
+        rank: this process among `world_size`; each takes its own part of every batch.
         world_size: number of processes that train together.
+
+    Raises:
+        InputError: no pictures, or a batch that the processes cannot share evenly.
     """
 
     def __init__(self, source: SampleSource, config: TrainConfig, rank: int = 0, world_size: int = 1) -> None:
         if len(source) == 0:
             raise InputError("no training pictures: the source is empty")
-        self.source, self.config, self.rank, self.world_size = source, config, rank, world_size
+        self.source, self.config, self.rank = source, config, rank
+        self.share = share_of_batch(config.batch_images, world_size)
         self._order: tuple[int, np.ndarray] | None = None
         self._build = BatchBuilder(config)
 
@@ -229,8 +248,8 @@ class BatchDataset(Dataset[Batch]):
 
     def picks(self, step: int) -> list[tuple[int, int]]:
         """(epoch, index into the source) of every picture of a step."""
-        first = (step * self.world_size + self.rank) * self.config.batch_images
-        return [self._pick(position) for position in range(first, first + self.config.batch_images)]
+        first = step * self.config.batch_images + self.rank * self.share
+        return [self._pick(position) for position in range(first, first + self.share)]
 
     def _pick(self, position: int) -> tuple[int, int]:
         epoch, offset = divmod(position, len(self.source))
@@ -243,6 +262,18 @@ class BatchDataset(Dataset[Batch]):
         picks = self.picks(step)
         rngs = [np.random.default_rng([self.config.seed, epoch, index, 1]) for epoch, index in picks]
         return self._build([self.source[index] for _, index in picks], rngs)
+
+
+class TimedBatches(Dataset[tuple[float, Batch]]):
+    """Batches, each with the seconds that it took to make."""
+
+    def __init__(self, dataset: BatchDataset) -> None:
+        self.dataset = dataset
+
+    def __getitem__(self, step: int) -> tuple[float, Batch]:
+        start = time.perf_counter()
+        batch = self.dataset[step]
+        return time.perf_counter() - start, batch
 
 
 class StepsFrom(Sampler[int]):
@@ -258,11 +289,11 @@ class StepsFrom(Sampler[int]):
         return len(self.steps)
 
 
-def batch_loader(dataset: BatchDataset, start: int) -> DataLoader[Batch]:
-    """Loads the batches of the steps from `start` on, in order, ahead of their use."""
+def batch_loader(dataset: BatchDataset, start: int) -> DataLoader[tuple[float, Batch]]:
+    """Loads the batches of the steps from `start` on, in order, ahead of their use, as `TimedBatches` does."""
     workers = dataset.config.data.workers
     return DataLoader(
-        dataset,
+        TimedBatches(dataset),
         batch_size=None,
         sampler=StepsFrom(start, len(dataset)),
         num_workers=workers,
@@ -278,7 +309,7 @@ def validation_batches(source: SampleSource, config: TrainConfig) -> list[Batch]
     build = BatchBuilder(config)
     starts = range(0, len(source), size)
     batches = (build([source[i] for i in range(start, min(start + size, len(source)))], ()) for start in starts)
-    return [batch for batch in batches if batch]
+    return [batch for batch in batches if len(batch["image"])]
 
 
 def _calm_worker(_: int) -> None:

@@ -145,7 +145,8 @@ class TrainConfig:
     max_minutes: float = 0.0
     """Wall-clock budget, summed over resumes; 0 is no limit. The cosine schedule follows whatever ends first."""
     batch_images: int = 4
-    """Pictures per step; the pose stages take every usable hand in them, up to twice as many crops."""
+    """Pictures per step, over all processes; the pose stages take every usable hand in them, up to twice as many
+    crops."""
     truth_maps: int = 0
     """Stage pose_net_3d: half of the hands see ideal heatmaps during the first so many iterations (SPEC 9)."""
     seed: int = 0

@@ -1,6 +1,7 @@
 """Every loss of both recipes; each a pure function that returns a scalar tensor.
 
-Weights are (B, 21), 1 for joints that count. A batch in which nothing counts has loss 0, not NaN.
+Weights are (B, 21), 1 for joints that count. A batch in which nothing counts has loss 0, not NaN. Where several
+processes train together, each sees its own part of the batch, and the mean of their losses is the loss of the whole.
 """
 
 from __future__ import annotations
@@ -15,14 +16,19 @@ from torch.nn import functional
 from twohands.geometry.projection import canonical_xy_from_rays
 from twohands.geometry.rotation import rotate
 from twohands.skeleton import BONES
+from twohands.training.parallel import mean_over_processes
 
 PARENT_JOINTS = [parent for parent, _ in BONES]
 CHILD_JOINTS = [child for _, child in BONES]
 
 
 def weighted_mean(values: Tensor, weight: Tensor) -> Tensor:
-    """sum(values * weight) / sum(weight); 0 if no weight is positive."""
-    total = weight.sum()
+    """sum(values * weight) / sum(weight); 0 if no weight is positive.
+
+    With several processes the denominator is their mean: what the processes return has the weighted mean over all of
+    them as its plain mean, however unevenly the weight is spread. All of them must call this.
+    """
+    total = mean_over_processes(weight.sum())
     return (values * weight).sum() / total.clamp_min(1e-12)
 
 

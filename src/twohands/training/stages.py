@@ -195,8 +195,8 @@ class Pose3DStage(Stage):
             two_d = heatmap_losses(self.net_2d, outputs, batch, self.config)
             result = {name: loss.heatmap_along * value for name, value in two_d.items()}
         if iteration < self.config.truth_maps:
-            picks = self._truth_picks(len(maps), iteration).to(maps.device)
-            maps = torch.where(picks, self._ideal_maps(batch), maps.float())
+            half = (batch["lot"] < 0.5)[:, None, None, None]
+            maps = torch.where(half, self._ideal_maps(batch), maps.float())
         predicted = self.net_3d(maps).float()
 
         truth, weight = batch["canonical"], batch["canonical_weight"]
@@ -220,11 +220,6 @@ class Pose3DStage(Stage):
             mass = maps.sum(dim=(2, 3), keepdim=True).clamp_min(1e-12)
             maps = maps / mass * (2 * torch.pi * self.net_2d.config.sigma**2)
         return maps
-
-    def _truth_picks(self, count: int, iteration: int) -> Tensor:
-        """(N, 1, 1, 1) bool, true for half of the hands; a function of the seed and the iteration alone."""
-        rng = np.random.default_rng([self.config.seed, iteration, 2])
-        return torch.from_numpy(rng.random((count, 1, 1, 1)) < 0.5)
 
     def validate(self, batches: Sequence[Batch]) -> dict[str, float]:
         """canonical_mean: mean joint distance in hand lengths; bone_mean: mean absolute bone length error in hand

@@ -22,6 +22,7 @@ from twohands.errors import CheckpointError, InputError
 from twohands.models.checkpoint import load_tensors, save_network, save_tensors
 from twohands.training.batches import Batch, BatchDataset, SampleSource, batch_loader, validation_batches
 from twohands.training.config import OptimConfig, TrainConfig
+from twohands.training.parallel import process_layout, share_batch_norm
 from twohands.training.schedule import learning_rate, progress, update_average
 from twohands.training.stages import Stage, build_stage
 
@@ -138,8 +139,9 @@ def train(
     The folder holds `config.json`, `log.csv` (iteration, minutes, split, metric, value), the resumable
     `state.safetensors`, and one `<network>.safetensors` per trained network.
 
-    On one CPU process without a limit of minutes, a run that was interrupted and resumed ends bitwise like one that was
-    not.
+    On one CPU process without a limit of minutes, a run that was interrupted, even killed, and resumed ends bitwise
+    like one that was not. Under `torchrun`, several processes share every batch and end, to rounding, like one; all of
+    them must see `out` and the pictures. Only the first one validates, writes and reports.
 
     Args:
         config: the run.
@@ -152,7 +154,7 @@ def train(
         stop_after: leave, with everything saved, when this many iterations are done.
 
     Raises:
-        InputError: `out` holds another run, or `resume` finds none.
+        InputError: `out` holds another run, `resume` finds none, or the processes cannot share a batch evenly.
         KeyboardInterrupt: after the state was saved.
     """
     state_path = out / STATE_FILE
@@ -164,27 +166,31 @@ def train(
     if config.threads:
         torch.set_num_threads(config.threads)
 
-    fabric = Fabric(precision=config.precision)
+    processes, machines = process_layout()
+    fabric = Fabric(precision=config.precision, devices=processes, num_nodes=machines)
     fabric.launch()
+    batches = BatchDataset(source, config, fabric.global_rank, fabric.world_size)
+    first = fabric.is_global_zero
     state = _start(config, weights, resume)
+    share_batch_norm(state.stage)
     model, optimizer = fabric.setup(state.stage, state.optimizer)
     if state.average is not None:
         state.average.to(fabric.device)
     if resume:
         state.restore(state_path)
+    if first:
         _cut_log(out / LOG_FILE, state.iteration)
-    _write_text(out / CONFIG_FILE, json.dumps(config.to_dict(), indent=2) + "\n")
+        _write_text(out / CONFIG_FILE, json.dumps(config.to_dict(), indent=2) + "\n")
 
-    batches = BatchDataset(source, config, fabric.global_rank, fabric.world_size)
-    held_out_batches = validation_batches(held_out, config) if fabric.is_global_zero else []
-    log = _Log(out / LOG_FILE, report) if fabric.is_global_zero else None
+    held_out_batches = validation_batches(held_out, config) if first else []
+    log = _Log(out / LOG_FILE, report) if first else None
     figures: dict[str, float] = {}
     clock, saved = time.monotonic() - state.elapsed_s, time.monotonic()
-    running: dict[str, float] = {}
+    running = _Running(config, fabric.world_size)
     checked = -1
 
     def keep() -> None:
-        if fabric.is_global_zero:
+        if first:
             state.save(state_path, config)
             _save_networks(state, config, out, figures)
 
@@ -193,38 +199,91 @@ def train(
             figures.update(_validate(fabric, state.best, held_out_batches))
             log.write(state, "validation", figures)
 
+    interrupted = False
     with _StopSignal() as stop:
-        for batch in batch_loader(batches, state.iteration):
-            done = progress(config, state.iteration, state.elapsed_s)
-            if done >= 1 or state.iteration == stop_after or stop.asked:
+        for making_s, batch in batch_loader(batches, state.iteration):
+            done = progress(config, state.iteration, state.elapsed_s) if first else 0.0
+            # The first process's clock decides for all, so that all make the same steps.
+            done, interrupts, items = _sums(fabric, done, stop.asked, len(batch["image"]))
+            interrupted = interrupts > 0
+            if done >= 1 or state.iteration == stop_after or interrupted:
                 break
-            if batch:
+            if items:
+                start = time.perf_counter()
                 rate = learning_rate(config.optim, state.iteration, done)
                 values = _step(fabric, model, optimizer, fabric.to_device(batch), state.iteration, rate, config.optim)
-                for name, value in values.items():
-                    running[name] = running.get(name, 0.0) + value
-                running["batches"] = running.get("batches", 0.0) + 1
                 if state.average is not None:
                     update_average(state.average, state.stage, config.optim.ema, state.iteration)
+                running.add(values, making_s, time.perf_counter() - start)
             state.iteration += 1
             state.elapsed_s = time.monotonic() - clock
-            if log is not None and state.iteration % config.log_every == 0 and running:
-                count = running.pop("batches", 0.0) or 1.0
-                log.write(state, "train", {name: value / count for name, value in running.items()})
-                running = {}
+            if log is not None and state.iteration % config.log_every == 0 and running.steps:
+                log.write(state, "train", running.losses())
+                log.write(state, "speed", running.speeds())
+                running.clear()
             if state.iteration % config.validate_every == 0:
                 check()
                 checked = state.iteration
             if time.monotonic() - saved > 60 * config.checkpoint_minutes:
                 keep()
                 saved = time.monotonic()
-        if not stop.asked and state.iteration != checked:
+        if not interrupted and state.iteration != checked:
             check()
         keep()
-    if stop.asked:
+    if interrupted:
         raise KeyboardInterrupt
     files = {name: out / f"{name}.safetensors" for name in state.best.networks()}
     return TrainResult(state.iteration, state.elapsed_s / 60, figures, files)
+
+
+def _sums(fabric: Fabric, *values: float) -> list[float]:
+    """Sums of numbers over all processes."""
+    if fabric.world_size == 1:
+        return list(values)
+    numbers = torch.tensor(values, dtype=torch.float64, device=fabric.device)
+    return fabric.all_reduce(numbers, reduce_op="sum").tolist()  # type: ignore[union-attr]
+
+
+class _Running:
+    """What happened since the last row of the log.
+
+    Args:
+        config: the run.
+        world_size: number of processes.
+    """
+
+    def __init__(self, config: TrainConfig, world_size: int) -> None:
+        self._pictures = config.batch_images
+        self._makers = max(1, config.data.workers) * world_size
+        self._world_size = world_size
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self.steps = 0
+        self._making_s = self._step_s = 0.0
+        self._sums: dict[str, float] = {}
+
+    def add(self, losses: dict[str, float], making_s: float, step_s: float) -> None:
+        """One step: its losses, the seconds that a worker took for this process's part of the batch, and the step's."""
+        self.steps += 1
+        self._making_s += making_s
+        self._step_s += step_s
+        for name, value in losses.items():
+            self._sums[name] = self._sums.get(name, 0.0) + value
+
+    def losses(self) -> dict[str, float]:
+        """Mean losses."""
+        return {name: value / self.steps for name, value in self._sums.items()}
+
+    def speeds(self) -> dict[str, float]:
+        """Pictures per second over all processes: stream_per_s that the workers can make, step_per_s that the steps
+        can take. The smaller one is the bottleneck."""
+        pictures = self.steps * self._pictures
+        return {
+            "stream_per_s": pictures / self._world_size * self._makers / max(self._making_s, 1e-9),
+            "step_per_s": pictures / max(self._step_s, 1e-9),
+        }
 
 
 class _StopSignal:
@@ -267,21 +326,23 @@ def _step(
     rate: float,
     config: OptimConfig,
 ) -> dict[str, float]:
-    """One optimizer step; returns the losses and their sum."""
+    """One optimizer step of all processes; returns their mean losses and their sum."""
     for group in optimizer.param_groups:
         group["lr"] = rate * group["share"]
     model.train()
     optimizer.zero_grad(set_to_none=True)
     parts = model(batch, iteration)
-    total = torch.stack(list(parts.values())).sum()
-    if not torch.isfinite(total):
-        named = ", ".join(f"{name} {value.item():g}" for name, value in parts.items())
+    values = torch.stack(list(parts.values()))
+    means = fabric.all_reduce(values.detach(), reduce_op="mean")
+    assert isinstance(means, Tensor)
+    if not torch.isfinite(means).all():
+        named = ", ".join(f"{name} {value:g}" for name, value in zip(parts, means.tolist(), strict=True))
         raise InputError(f"the loss is not finite at iteration {iteration} ({named}); lower the learning rate")
-    fabric.backward(total)
+    fabric.backward(values.sum())
     if config.clip:
         fabric.clip_gradients(model, optimizer, max_norm=config.clip, error_if_nonfinite=False)
     optimizer.step()
-    return {"loss": total.item(), **{name: value.item() for name, value in parts.items()}}
+    return {"loss": float(means.sum()), **dict(zip(parts, means.tolist(), strict=True))}
 
 
 @torch.no_grad()

@@ -1,0 +1,63 @@
+"""How long each stage of the pipeline takes, measured from outside: the estimator knows nothing of it."""
+
+from __future__ import annotations
+
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from typing import Any
+
+from twohands.inference.estimator import HandEstimator
+
+STAGES = {
+    "hand_maps": "letterbox, HandSegNet",
+    "segment": "boxes, masks",
+    "crop": "crops",
+    "locate": "PoseNet2D",
+    "read_out": "joints from heatmaps",
+    "lift": "PoseNet3D",
+    "place": "global solve",
+    "estimate": "checks, results",
+}
+"""Methods of `HandEstimator` and what a reader calls them, in the order of the pipeline."""
+
+
+class StageClock:
+    """Adds up the time spent in functions, each without what its own timed callees take.
+
+    Args:
+        clock: seconds.
+
+    Attributes:
+        seconds: name -> seconds since the last `reset`.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.perf_counter) -> None:
+        self._clock = clock
+        self._inner: list[float] = [0.0]
+        self.seconds: dict[str, float] = defaultdict(float)
+
+    def reset(self) -> None:
+        """Start from zero."""
+        self.seconds.clear()
+
+    def timed(self, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        """The same function, whose calls count under `name`."""
+
+        def call(*args: Any, **options: Any) -> Any:
+            self._inner.append(0.0)
+            start = self._clock()
+            try:
+                return function(*args, **options)
+            finally:
+                passed = self._clock() - start
+                self.seconds[name] += passed - self._inner.pop()
+                self._inner[-1] += passed
+
+        return call
+
+
+def time_stages(estimator: HandEstimator, clock: StageClock) -> None:
+    """Let every stage of this one estimator count on `clock`, under the names in `STAGES`."""
+    for method, name in STAGES.items():
+        setattr(estimator, method, clock.timed(name, getattr(estimator, method)))
