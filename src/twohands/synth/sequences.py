@@ -36,6 +36,7 @@ from twohands.synth.scene import (
     sample_lighting,
     sample_shape,
     sample_skin,
+    sample_skin_detail,
     sees_the_person,
     viewed,
 )
@@ -153,6 +154,7 @@ class Sequence:
         self.clothes = sample_clothes(config, rng)
         self.camera, self.view = sample_camera(config, rng)
         self.lighting = replace(self.lighting, positions=moved(self.view, self.lighting.positions))
+        self.skin = replace(self.skin, detail=sample_skin_detail(config, rng))
         self._bare = self.clothes.glove_until, self.clothes.sleeve_from
         self._worn = replace(config, objects=0.0)  # what a moving hand would have to grasp and let go
         rng = _rng(sequence_set.scene_seed, _CAMERA_STREAM, index)
