@@ -109,7 +109,7 @@ def measure(name: str, preset: SynthConfig) -> None:
     steps: list[tuple[str, Callable[[int], object]]] = [
         ("scenes", lambda i: sample_scene(config, 0, i)),
         ("labelled frames, 480x270", lambda i: stream.renderer.render(scenes[i])),
-        ("backgrounds", stream.background),
+        ("backgrounds", lambda i: stream.background(i, scenes[i].camera)),
         ("stream items", lambda i: stream[i]),
         ("instances encoded, 960x540", StaticSet(replace(preset, width=960, height=540), 0, COUNT).open()),
     ]

@@ -143,8 +143,32 @@ def test_panorama_ahead_is_its_middle(folder, monkeypatch):
     columns = np.tile((np.arange(1024) / 4).astype(np.uint8)[None, :, None], (512, 1, 3))
     cv2.imwrite(str(folder.parent / "columns.png"), columns)
     monkeypatch.setattr("twohands.synth.clips._Head.rotation", lambda self, index: np.eye(3))
-    monkeypatch.setattr("twohands.synth.clips._Look.apply", lambda self, picture: picture)
+    monkeypatch.setattr("twohands.synth.clips.Look.apply", lambda self, picture: picture)
     view = clip_of(ClipSource("panorama", folder.parent / "columns.png")).frame(0)
     assert int(view[45, 80, 0]) == pytest.approx(128, abs=1.5)
     right = np.arctan((140.5 - 80) / CAMERA.fx) / (2 * np.pi) * 256 + 128
     assert int(view[45, 140, 0]) == pytest.approx(right, abs=1.5)
+
+
+def test_only_panoramas_know_the_light_from_all_directions(folder):
+    for name, kind in SOURCES:
+        around = clip_of(source_of(folder, name, kind)).surroundings(3)
+        assert (around is not None) == (kind == "panorama")
+
+
+def test_the_light_of_a_panorama_turns_with_the_head(folder):
+    clip = clip_of(source_of(folder, *next(s for s in SOURCES if s[1] == "panorama")))
+    first, later = clip.surroundings(0), clip.surroundings(60)
+    np.testing.assert_array_equal(first.radiance, later.radiance)
+    turned = first.world_from_camera.T @ later.world_from_camera
+    assert np.degrees(np.arccos((np.trace(turned) - 1) / 2)) > 1
+
+
+def test_a_panorama_with_damaged_light_is_skipped_with_a_reason(tmp_path):
+    (tmp_path / "light").mkdir()
+    (tmp_path / "ldr").mkdir()
+    cv2.imwrite(str(tmp_path / "ldr" / "a.png"), np.full((512, 1024, 3), 90, np.uint8))
+    source = ClipSource("panorama", tmp_path / "ldr" / "a.png")
+    assert unusable(source) is None
+    (tmp_path / "light" / "a.npy").write_bytes(b"no array")
+    assert unusable(source) == "its light (light/a.npy) cannot be read"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
 from statistics import NormalDist
@@ -14,8 +15,23 @@ import cv2
 import numpy as np
 
 from twohands.errors import InputError
+from twohands.synth.panoramas import Surroundings, is_panorama, light_file, light_of, rays, turn, unreadable_light, view
+from twohands.types import PinholeCamera
 
 IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Background:
+    """What is behind the hands.
+
+    Attributes:
+        picture: (H, W, 3) uint8 RGB, as large as the camera's.
+        surroundings: the light from all directions, where the picture is a view into a panorama.
+    """
+
+    picture: np.ndarray
+    surroundings: Surroundings | None = None
 
 
 class Backgrounds(Protocol):
@@ -31,8 +47,8 @@ class Backgrounds(Protocol):
         """A line for every picture that was skipped so far, because it cannot be read."""
         ...
 
-    def sample(self, rng: np.random.Generator, width: int, height: int) -> np.ndarray:
-        """A random (height, width, 3) uint8 RGB background."""
+    def sample(self, rng: np.random.Generator, camera: PinholeCamera) -> Background:
+        """A random background for a camera."""
         ...
 
 
@@ -42,24 +58,16 @@ class ProceduralBackgrounds:
     name = "procedural"
     unreadable = ()
 
-    def sample(self, rng: np.random.Generator, width: int, height: int) -> np.ndarray:
-        """A random (height, width, 3) uint8 RGB background."""
-        canvas = _wash(rng, width, height)
-        _draw_shapes(canvas, rng, int(rng.integers(4, 26)))
-        texture = _smooth_noise(rng, width, height, cells=int(rng.integers(20, 80)), strength=rng.uniform(0, 30))
-        canvas = _plus(canvas, cv2.resize(_offset(texture), (width, height), interpolation=cv2.INTER_CUBIC))
-        # Most rooms are rather grey; a few are garish.
-        colour = rng.beta(1.2, 2.2)
-        canvas = cv2.transform(canvas, np.full((3, 3), (1 - colour) / 3) + colour * np.eye(3))
-        canvas = _plus(canvas, _grain(rng, width, height, sigma=rng.uniform(0, 6)))
-        if rng.random() < 0.5:
-            canvas = _blurred(canvas, rng.uniform(0.5, 3.0) * width / 480)
-        return np.asarray(canvas)
+    def sample(self, rng: np.random.Generator, camera: PinholeCamera) -> Background:
+        """A random background for a camera."""
+        return Background(procedural_picture(rng, camera.width, camera.height))
 
 
 class BackgroundFolder:
     """Photographs of a folder and its subfolders, with random crop, flip and colour augmentation (paper 3.1).
 
+    Panoramas (`panoramas.is_panorama`) are seen through the camera of the hands, turned anywhere, and bring their
+    light.
     A picture that cannot be read is skipped: the next one is taken in its place, and it is named in `unreadable`.
 
     Attributes:
@@ -69,7 +77,7 @@ class BackgroundFolder:
 
     Args:
         folder: holds .jpg, .png, .bmp or .webp files.
-        keep: how many decoded pictures to keep in memory, 1.5 MB each.
+        keep: how many decoded pictures to keep in memory, 1.5 MB each, panoramas 6 MB.
 
     Raises:
         InputError: the folder does not exist, cannot be read, or holds no readable picture.
@@ -88,32 +96,43 @@ class BackgroundFolder:
         self.unreadable: list[str] = []
         if all(read_picture(path) is None for path in self.files):
             raise InputError(f"none of the {len(self.files)} background pictures in {folder} can be read")
-        listing = "\n".join(f"{path.relative_to(folder).as_posix()} {path.stat().st_size}" for path in self.files)
+        listing = "\n".join(
+            f"{path.relative_to(folder).as_posix()} {path.stat().st_size}{' with light' * light_file(path).is_file()}"
+            for path in self.files
+        )
         digest = hashlib.sha256(listing.encode()).hexdigest()[:12]
         self.name = f"{folder.name} ({len(self.files)} pictures, {digest})"
 
     @cached_property
-    def _read(self) -> Callable[[Path], np.ndarray | None]:
-        return lru_cache(maxsize=self.keep)(read_picture)
+    def _read(self) -> Callable[[Path], tuple[np.ndarray, np.ndarray | None] | None]:
+        return lru_cache(maxsize=self.keep)(_read_background)
 
     def __getstate__(self) -> dict[str, object]:
         return {key: value for key, value in self.__dict__.items() if key != "_read"}
 
-    def sample(self, rng: np.random.Generator, width: int, height: int) -> np.ndarray:
-        """A random (height, width, 3) uint8 RGB background.
+    def sample(self, rng: np.random.Generator, camera: PinholeCamera) -> Background:
+        """A random background for a camera.
 
         Raises:
             InputError: no picture can be read any more.
         """
         first = int(rng.integers(len(self.files)))
         for path in (*self.files[first:], *self.files[:first]):
-            picture = self._read(path)
-            if picture is not None:
-                return augment(picture, rng, width, height)
-            line = f"background {path.relative_to(self.folder).as_posix()} cannot be read"
-            if line not in self.unreadable:
-                self.unreadable.append(line)
+            read = self._read(path)
+            if read is None:
+                self._note(f"background {path.relative_to(self.folder).as_posix()} cannot be read")
+                continue
+            picture, light = read
+            if light is None:
+                return Background(augment(picture, rng, camera.width, camera.height))
+            if unreadable_light(path):
+                self._note(f"light of background {path.relative_to(self.folder).as_posix()} cannot be read")
+            return _panorama_view(picture, light, rng, camera)
         raise InputError(f"background pictures of {self.name} cannot be read")
+
+    def _note(self, line: str) -> None:
+        if line not in self.unreadable:
+            self.unreadable.append(line)
 
 
 class MixedBackgrounds:
@@ -129,10 +148,25 @@ class MixedBackgrounds:
         """See `Backgrounds.unreadable`."""
         return [line for source in self.sources for line in source.unreadable]
 
-    def sample(self, rng: np.random.Generator, width: int, height: int) -> np.ndarray:
-        """A random (height, width, 3) uint8 RGB background."""
+    def sample(self, rng: np.random.Generator, camera: PinholeCamera) -> Background:
+        """A random background for a camera."""
         choice = min(int(np.searchsorted(self._cumulative, rng.random())), len(self.sources) - 1)
-        return self.sources[choice].sample(rng, width, height)
+        return self.sources[choice].sample(rng, camera)
+
+
+def procedural_picture(rng: np.random.Generator, width: int, height: int) -> np.ndarray:
+    """A random (height, width, 3) uint8 RGB background."""
+    canvas = _wash(rng, width, height)
+    _draw_shapes(canvas, rng, int(rng.integers(4, 26)))
+    texture = _smooth_noise(rng, width, height, cells=int(rng.integers(20, 80)), strength=rng.uniform(0, 30))
+    canvas = _plus(canvas, cv2.resize(_offset(texture), (width, height), interpolation=cv2.INTER_CUBIC))
+    # Most rooms are rather grey; a few are garish.
+    colour = rng.beta(1.2, 2.2)
+    canvas = cv2.transform(canvas, np.full((3, 3), (1 - colour) / 3) + colour * np.eye(3))
+    canvas = _plus(canvas, _grain(rng, width, height, sigma=rng.uniform(0, 6)))
+    if rng.random() < 0.5:
+        canvas = _blurred(canvas, rng.uniform(0.5, 3.0) * width / 480)
+    return np.asarray(canvas)
 
 
 def augment(picture: np.ndarray, rng: np.random.Generator, width: int, height: int) -> np.ndarray:
@@ -146,14 +180,56 @@ def augment(picture: np.ndarray, rng: np.random.Generator, width: int, height: i
     if rng.random() < 0.5:
         crop = crop[:, ::-1]
     crop = cv2.resize(np.ascontiguousarray(crop), (width, height), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(cv2.LUT(crop, _colour_table(rng)[1]))
+
+
+def _colour_table(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Random brightness, contrast and tint: the (3,) factors of the colours, and a (1, 256, 3) uint8 table of all."""
     gain = np.exp(rng.normal(0, 0.18) + rng.normal(0, 0.06, 3))
     contrast, pivot = np.exp(rng.normal(0, 0.12)), rng.uniform(90, 150)
     table = np.clip((np.arange(256)[:, None] * gain - pivot) * contrast + pivot, 0, 255).astype(np.uint8)
-    return np.asarray(cv2.LUT(crop, np.ascontiguousarray(table[None])))
+    return gain, np.ascontiguousarray(table[None])
+
+
+class Look:
+    """Colour and mirroring of a view or a clip; strengths as in `augment`."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self.flip = bool(rng.random() < 0.5)
+        self.gain, self.table = _colour_table(rng)
+
+    def apply(self, picture: np.ndarray) -> np.ndarray:
+        """(H, W, 3) uint8 of the same size."""
+        if self.flip:
+            picture = picture[:, ::-1]
+        return np.asarray(cv2.LUT(np.ascontiguousarray(picture), self.table))
+
+    def surroundings(self, light: np.ndarray, world_from_camera: np.ndarray) -> Surroundings:
+        """The light (H, 2 H, 3), linear, around a camera with that rotation (3, 3), as the changed picture has it."""
+        mirror = np.diag([-1.0 if self.flip else 1.0, 1.0, 1.0])
+        return Surroundings(light * self.gain**2.2, world_from_camera @ mirror)
+
+
+def _panorama_view(
+    panorama: np.ndarray, light: np.ndarray, rng: np.random.Generator, camera: PinholeCamera
+) -> Background:
+    """A view to any side, rather downwards, as people look at their hands."""
+    look = Look(rng)
+    world_from_camera = turn(rng.uniform(-np.pi, np.pi), *np.radians(rng.normal([-12, 0], [10, 3])))
+    picture = look.apply(view(panorama, rays(camera), world_from_camera))
+    return Background(picture, look.surroundings(light, world_from_camera))
+
+
+def _read_background(path: Path) -> tuple[np.ndarray, np.ndarray | None] | None:
+    """A picture, and the light from all directions where it is a panorama; None if it cannot be read."""
+    picture = read_picture(path)
+    if picture is None:
+        return None
+    return picture, light_of(picture, path) if is_panorama(*picture.shape[1::-1]) else None
 
 
 def read_picture(path: Path) -> np.ndarray | None:
-    """A background at most 960 pixels wide or high.
+    """A background at most 960 pixels wide or high, a panorama at most 2048.
 
     Returns:
         (H, W, 3) uint8 RGB; None if the file is missing, cut off, or no picture.
@@ -167,7 +243,7 @@ def read_picture(path: Path) -> np.ndarray | None:
     picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     if picture is None:
         return None
-    scale = 960 / max(picture.shape[:2])
+    scale = (2048 if is_panorama(*picture.shape[1::-1]) else 960) / max(picture.shape[:2])
     if scale < 1:
         picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB))

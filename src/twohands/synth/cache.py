@@ -211,9 +211,9 @@ class FrameCache:
         labels = np.asarray(arrays["labels"][at])
         # Keyed by the frame itself, so that held-out frames never share a draw with training ones.
         rng = instance_rng(self.seed, _VARIANT_STREAM + variant * len(arrays["present"]) + at)
-        background = self.backgrounds.sample(rng, self._width, self._height)
         fx, fy, cx, cy = map(float, arrays["intrinsics"][at])
         camera = PinholeCamera(fx, fy, cx, cy, self._width, self._height)
+        background = self.backgrounds.sample(rng, camera).picture
         if rng.random() < self.empty_rate:
             nothing = np.full((2, 22, 3), np.nan)
             absent = np.zeros(2, bool)

@@ -18,7 +18,18 @@ import cv2
 import numpy as np
 
 from twohands.errors import InputError
-from twohands.synth.backgrounds import IMAGE_SUFFIXES, ProceduralBackgrounds
+from twohands.synth.backgrounds import IMAGE_SUFFIXES, Look, procedural_picture
+from twohands.synth.panoramas import (
+    Surroundings,
+    is_panorama,
+    light_file,
+    light_of,
+    rays,
+    turn,
+    turned,
+    unreadable_light,
+    view,
+)
 from twohands.types import PinholeCamera
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg")
@@ -29,8 +40,6 @@ MAX_START_SECONDS = 120.0
 MIN_FOLDER_FRAMES = 30
 SIMILAR_FRAMES = 20.0
 """Mean difference of neighbouring frames' thumbnails, of 255, above which numbered pictures are not a film."""
-PANORAMA_ASPECT, PANORAMA_WIDTH = 2.0, 1024
-"""A picture twice as wide as high (within 1 %) and at least this wide is taken for a 360-degree panorama."""
 MAX_PANORAMA_WIDTH = 4096
 Kind = Literal["video", "frames", "panorama", "still", "room"]
 
@@ -58,6 +67,10 @@ class Clip(Protocol):
 
     def frame(self, index: int) -> np.ndarray:
         """(height, width, 3) uint8 RGB of one frame of the sequence."""
+        ...
+
+    def surroundings(self, index: int) -> Surroundings | None:
+        """Light from all directions in one frame; None where the clip knows only what it shows."""
         ...
 
 
@@ -160,7 +173,11 @@ def unusable(source: ClipSource) -> str | None:
             return f"{frames / fps:.2g} s long, at least {MIN_VIDEO_SECONDS:g} s needed"
         return None
     path = numbered(source.path)[0] if source.kind == "frames" else source.path
-    return None if cv2.imread(str(path), cv2.IMREAD_REDUCED_COLOR_8) is not None else "not a picture that can be read"
+    if cv2.imread(str(path), cv2.IMREAD_REDUCED_COLOR_8) is None:
+        return "not a picture that can be read"
+    if source.kind == "panorama" and unreadable_light(path):
+        return f"its light ({light_file(path).parent.name}/{light_file(path).name}) cannot be read"
+    return None
 
 
 def open_clip(source: ClipSource, rng: np.random.Generator, frames: int, fps: float, camera: PinholeCamera) -> Clip:
@@ -176,7 +193,7 @@ def open_clip(source: ClipSource, rng: np.random.Generator, frames: int, fps: fl
     Raises:
         InputError: the source cannot be read.
     """
-    look = _Look(rng)
+    look = Look(rng)
     size = (camera.width, camera.height)
     if source.path is None:
         return _Room(rng, fps, camera, look)
@@ -186,24 +203,8 @@ def open_clip(source: ClipSource, rng: np.random.Generator, frames: int, fps: fl
         return _Film(_FolderReader(source.path), rng, frames, fps, size, look)
     picture = _read_picture(source.path)
     if source.kind == "panorama":
-        return _PanoramaView(picture, rng, fps, camera, look)
+        return _PanoramaView(picture, source.path, rng, fps, camera, look)
     return _StillView(picture, rng, fps, size, look)
-
-
-class _Look:
-    """Colour and mirroring of one clip, the same in every frame; strengths as in `backgrounds.augment`."""
-
-    def __init__(self, rng: np.random.Generator) -> None:
-        self.flip = bool(rng.random() < 0.5)
-        gain = np.exp(rng.normal(0, 0.18) + rng.normal(0, 0.06, 3))
-        contrast, pivot = np.exp(rng.normal(0, 0.12)), rng.uniform(90, 150)
-        table = np.clip((np.arange(256)[:, None] * gain - pivot) * contrast + pivot, 0, 255).astype(np.uint8)
-        self.table = np.ascontiguousarray(table[None])
-
-    def apply(self, picture: np.ndarray) -> np.ndarray:
-        if self.flip:
-            picture = picture[:, ::-1]
-        return np.asarray(cv2.LUT(np.ascontiguousarray(picture), self.table))
 
 
 class _Wander:
@@ -285,7 +286,7 @@ class _Film:
         frames: int,
         fps: float,
         size: tuple[int, int],
-        look: _Look,
+        look: Look,
     ) -> None:
         self.reader, self.size, self.look = reader, size, look
         self.step = reader.fps / fps
@@ -300,6 +301,9 @@ class _Film:
         position = span - abs(span - position % (2 * span))  # to and fro
         position = min(position, self.reader.count - 1)
         return self.look.apply(self._crop(self._read(position)))
+
+    def surroundings(self, index: int) -> None:
+        return None
 
     def _read(self, position: int) -> np.ndarray:
         """Short films are kept in memory, compressed, so that going backwards costs no decoding from the start."""
@@ -328,7 +332,7 @@ class _StillView:
     """A camera that slowly moves over a still."""
 
     def __init__(
-        self, picture: np.ndarray, rng: np.random.Generator, fps: float, size: tuple[int, int], look: _Look
+        self, picture: np.ndarray, rng: np.random.Generator, fps: float, size: tuple[int, int], look: Look
     ) -> None:
         height, width = picture.shape[:2]
         zoom = rng.uniform(0.5, 0.7)
@@ -356,34 +360,36 @@ class _StillView:
         view = cv2.warpAffine(self.picture, matrix, self.size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
         return self.look.apply(view)
 
+    def surroundings(self, index: int) -> None:
+        return None
+
 
 class _PanoramaView:
     """A turning head in an equirectangular panorama, seen through the camera of the hands."""
 
     def __init__(
-        self, picture: np.ndarray, rng: np.random.Generator, fps: float, camera: PinholeCamera, look: _Look
+        self, picture: np.ndarray, path: Path, rng: np.random.Generator, fps: float, camera: PinholeCamera, look: Look
     ) -> None:
         if picture.shape[1] > MAX_PANORAMA_WIDTH:
             scale = MAX_PANORAMA_WIDTH / picture.shape[1]
             picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-        self.picture, self.rays, self.look = picture, _rays(camera), look
+        self.picture, self.rays, self.look = picture, rays(camera), look
+        self.light = light_of(picture, path)
         self.head = _Head(rng, fps)
 
     def frame(self, index: int) -> np.ndarray:
-        height, width = (np.float32(n) for n in self.picture.shape[:2])
-        x, y, z = _turned(self.rays, self.head.rotation(index))
-        column = (np.arctan2(x, z) / np.float32(2 * np.pi) + np.float32(0.5)) * width - np.float32(0.5)
-        row = (np.arctan2(y, np.sqrt(x * x + z * z)) / np.float32(np.pi) + np.float32(0.5)) * height - np.float32(0.5)
-        view = cv2.remap(self.picture, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
-        return self.look.apply(view)
+        return self.look.apply(view(self.picture, self.rays, self.head.rotation(index)))
+
+    def surroundings(self, index: int) -> Surroundings:
+        return self.look.surroundings(self.light, self.head.rotation(index))
 
 
 class _Room:
     """A head that turns and moves in a box-shaped room with six procedural walls: a background with parallax where no
     folder is given."""
 
-    def __init__(self, rng: np.random.Generator, fps: float, camera: PinholeCamera, look: _Look) -> None:
-        self.rays, self.look = _rays(camera), look
+    def __init__(self, rng: np.random.Generator, fps: float, camera: PinholeCamera, look: Look) -> None:
+        self.rays, self.look = rays(camera), look
         self.head = _Head(rng, fps)
         self.half = rng.uniform([1.5, 1.1, 1.5], [3.5, 1.6, 3.5]).astype(np.float32)
         amplitude = rng.uniform(0.1, 0.5, 3) * [1.0, 0.2, 1.0]
@@ -397,19 +403,19 @@ class _Room:
         )
 
     def frame(self, index: int) -> np.ndarray:
-        rays = _turned(self.rays, self.head.rotation(index))
+        toward = turned(self.rays, self.head.rotation(index))
         place = self.place.at(index).astype(np.float32)
         # Distance along the ray to the wall it meets on each axis, were there no other.
         reach = [
             np.where(ray < 0, -half - start, half - start) / np.where(ray == 0, np.float32(1e-9), ray)
-            for ray, half, start in zip(rays, self.half, place, strict=True)
+            for ray, half, start in zip(toward, self.half, place, strict=True)
         ]
         nearest = np.minimum(np.minimum(reach[0], reach[1]), reach[2])
         on_x, on_y = reach[0] == nearest, reach[1] == nearest
         # -1..1 on the wall: it is spanned by z and y, by x and z, or by x and y.
-        hit = [(start + ray * nearest) / half for ray, half, start in zip(rays, self.half, place, strict=True)]
+        hit = [(start + ray * nearest) / half for ray, half, start in zip(toward, self.half, place, strict=True)]
         across, down = np.where(on_x, hit[2], hit[0]), np.where(on_y & ~on_x, hit[2], hit[1])
-        positive = np.where(on_x, rays[0], np.where(on_y, rays[1], rays[2])) > 0
+        positive = np.where(on_x, toward[0], np.where(on_y, toward[1], toward[2])) > 0
         tile = 2 * np.where(on_x, 0, np.where(on_y, 1, 2)) + positive
         half_size = np.float32(self.atlas.shape[0] / 2 - 2)
         column = tile.astype(np.float32) * (2 * half_size + 4) + (np.clip(across, -1, 1) + 1) * half_size
@@ -418,15 +424,17 @@ class _Room:
         view = cv2.remap(self.atlas, column + shift, row + shift, cv2.INTER_LINEAR)
         return self.look.apply(view)
 
+    def surroundings(self, index: int) -> None:
+        return None
+
 
 def _wall(rng: np.random.Generator, size: int) -> np.ndarray:
     """(size, size, 3) uint8: a procedural picture with smaller ones hung on it, for detail at all scales."""
-    source = ProceduralBackgrounds()
-    wall = source.sample(rng, size, size).copy()
+    wall = procedural_picture(rng, size, size).copy()
     for _ in range(int(rng.integers(2, 7))):
         width, height = (int(n) for n in rng.integers(size // 12, size // 3, 2))
         x, y = int(rng.integers(0, size - width)), int(rng.integers(0, size - height))
-        wall[y : y + height, x : x + width] = source.sample(rng, width, height)
+        wall[y : y + height, x : x + width] = procedural_picture(rng, width, height)
     return wall
 
 
@@ -443,23 +451,7 @@ class _Head:
     def rotation(self, index: int) -> np.ndarray:
         """(3, 3) R_world_from_camera; the world's y axis points down."""
         yaw, pitch, roll = self.path.at(index) + np.array([self.yaw, self.pitch, 0.0])
-        turns = ([0.0, yaw, 0.0], [pitch, 0.0, 0.0], [0.0, 0.0, roll])
-        about_y, about_x, about_z = (np.asarray(cv2.Rodrigues(np.array(turn))[0]) for turn in turns)
-        return about_y @ about_x @ about_z
-
-
-def _rays(camera: PinholeCamera) -> tuple[np.ndarray, np.ndarray]:
-    """(1, W) x and (H, 1) y of the directions through the pixels' centres, z = 1; float32."""
-    u = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
-    v = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
-    return u.astype(np.float32)[None], v.astype(np.float32)[:, None]
-
-
-def _turned(rays: tuple[np.ndarray, np.ndarray], rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """x, y, z (H, W) of the rays after a rotation (3, 3)."""
-    u, v = rays
-    x, y, z = (row[0] * u + (row[1] * v + row[2]) for row in rotation.astype(np.float32))
-    return x, y, z
+        return turn(yaw, pitch, roll)
 
 
 def numbered(folder: Path) -> list[Path]:
@@ -496,7 +488,7 @@ def _is_panorama(path: Path) -> bool:
     if picture is None:
         return False
     height, width = picture.shape[:2]
-    return 8 * width >= PANORAMA_WIDTH and abs(width / height - PANORAMA_ASPECT) < 0.01 * PANORAMA_ASPECT
+    return is_panorama(8 * width, 8 * height)
 
 
 def _relative(sources: list[ClipSource], folder: Path) -> list[ClipSource]:

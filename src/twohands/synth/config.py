@@ -8,7 +8,7 @@ from twohands.errors import InputError
 
 SHARES = (
     *("together", "sleeves", "gloves", "objects", "watches", "rings"),
-    *("background_light", "sensor", "webcam", "free_view"),
+    *("background_light", "sensor", "webcam", "free_view", "skin_detail"),
 )
 """Settings of `SynthConfig` between 0 and 1."""
 
@@ -38,6 +38,8 @@ class SynthConfig:
     """All 21 joints of a hand stay this fraction of the image away from its border."""
     skin_tones: tuple[float, float] = (0.0, 1.0)
     """Range of skin tone, drawn evenly: 0 the lightest of the Monk scale, 1 the darkest."""
+    skin_detail: float = 0.0
+    """Strength of veins, creases, freckles and moles, which differ from person to person; 0 draws none."""
     min_inside: int = 21
     """At least this many of a hand's 21 joints lie inside the image, `image_margin` away from its border."""
     lights: int = 4
@@ -123,6 +125,7 @@ WILD = SynthConfig(
     box_min=(-0.30, -0.16, 0.16),
     box_max=(0.16, 0.24, 0.55),
     image_margin=0.0,
+    skin_detail=1.0,
     min_inside=14,
     fov=(50.0, 110.0),
     principal_shift=0.06,

@@ -25,6 +25,29 @@ SHAPE_RANK = 24
 """Leading shape directions that random people use; the rest are below what a picture shows."""
 
 
+PATTERNS = 16
+"""Different patterns of veins, creases and spots; painting one takes longer than drawing a picture, so renderers keep
+them."""
+
+
+@dataclass(frozen=True, slots=True)
+class SkinDetail:
+    """Small things on one person's skin; strengths are 0 (none) to 1.
+
+    Attributes:
+        veins: on the back of the hand and on the forearm.
+        creases: of palm, fingers and knuckles.
+        freckles, moles: on the back of the hand and on the forearm.
+        pattern: which pattern of all these, 0 to PATTERNS - 1.
+    """
+
+    veins: float
+    creases: float
+    freckles: float
+    moles: float
+    pattern: int
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Skin:
     """Look of one person's skin; colours are linear RGB albedo.
@@ -36,6 +59,7 @@ class Skin:
         roughness: 0.25 (moist) to 0.7 (dry).
         mottle: strength of the blotchy variation, 0..1.
         seed: (3,) offset into the noise field.
+        detail: veins, creases and freckles; None for smooth skin.
     """
 
     albedo: np.ndarray
@@ -44,6 +68,7 @@ class Skin:
     roughness: float
     mottle: float
     seed: np.ndarray
+    detail: SkinDetail | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -220,6 +245,16 @@ def sample_skin(config: SynthConfig, rng: np.random.Generator) -> Skin:
     return Skin(albedo, palm, nail, rng.uniform(0.3, 0.7), rng.uniform(0.2, 1.0), rng.uniform(-100, 100, 3))
 
 
+def sample_skin_detail(config: SynthConfig, rng: np.random.Generator) -> SkinDetail | None:
+    """Small things on the skin: veins mostly faint, creases on everybody, freckles on three people of ten, moles on
+    six."""
+    if config.skin_detail == 0:
+        return None
+    spots = rng.uniform(0.2, 1.0, 2) * (rng.random(2) < [0.3, 0.6])
+    strengths = config.skin_detail * np.array([rng.beta(1.2, 1.8), rng.uniform(0.35, 1.0), *spots])
+    return SkinDetail(*strengths.tolist(), pattern=int(rng.integers(PATTERNS)))
+
+
 def sample_lighting(config: SynthConfig, rng: np.random.Generator) -> Lighting:
     """Lights around and above the person, of random brightness, with slightly random colour."""
     count = config.lights
@@ -373,6 +408,7 @@ def sample_scene(config: SynthConfig, seed: int, index: int) -> SceneSpec:
     things = sample_things(config, body, transforms, joints, present, bare, rng)
     if sees_the_person(view):
         things += sample_person(body, skin.albedo, clothes.sleeve_albedo, rng)
+    skin = dataclasses.replace(skin, detail=sample_skin_detail(config, rng))
     return SceneSpec(
         camera,
         shape,

@@ -22,7 +22,7 @@ from twohands.synth.body import BONES_PER_SIDE, Body, forward_kinematics, load_a
 from twohands.synth.clips import Clip, ClipAssignment, ClipSource, assign_clips, open_clip
 from twohands.synth.compositing import compose_frame
 from twohands.synth.config import SynthConfig
-from twohands.synth.lighting import lit_by
+from twohands.synth.lighting import lit_by, lit_inside
 from twohands.synth.manifest import environment
 from twohands.synth.motion import Arm, HandMotion, MotionConfig, in_picture, plan_motion
 from twohands.synth.pose import ArmAnatomy
@@ -36,6 +36,7 @@ from twohands.synth.scene import (
     sample_lighting,
     sample_shape,
     sample_skin,
+    sample_skin_detail,
     sees_the_person,
     viewed,
 )
@@ -153,6 +154,7 @@ class Sequence:
         self.clothes = sample_clothes(config, rng)
         self.camera, self.view = sample_camera(config, rng)
         self.lighting = replace(self.lighting, positions=moved(self.view, self.lighting.positions))
+        self.skin = replace(self.skin, detail=sample_skin_detail(config, rng))
         self._bare = self.clothes.glove_until, self.clothes.sleeve_from
         self._worn = replace(config, objects=0.0)  # what a moving hand would have to grasp and let go
         rng = _rng(sequence_set.scene_seed, _CAMERA_STREAM, index)
@@ -261,7 +263,13 @@ class SequenceRenderer:
         planned, clip = self._opened(sequence)
         scene, config = planned.scene(frame), self.set.config
         if planned.takes_background_light:
-            scene = replace(scene, lighting=lit_by(scene.lighting, clip.frame(0), scene.camera))
+            # Lamps of a panorama stay where they are while the head turns.
+            around = clip.surroundings(frame)
+            if around is None:
+                lighting = lit_by(scene.lighting, clip.frame(0), scene.camera)
+            else:
+                lighting = lit_inside(scene.lighting, around)
+            scene = replace(scene, lighting=lighting)
         rendered = self.renderer.render(scene)
         if config.amodal:
             rendered = replace(rendered, amodal=self.renderer.amodal(scene))

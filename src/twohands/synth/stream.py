@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
 from twohands.geometry.camera import project
-from twohands.synth.backgrounds import Backgrounds, ProceduralBackgrounds
+from twohands.synth.backgrounds import Background, Backgrounds, ProceduralBackgrounds
 from twohands.synth.compositing import compose_frame
 from twohands.synth.config import SynthConfig
-from twohands.synth.lighting import lit_by
+from twohands.synth.lighting import lit_by, lit_inside
 from twohands.synth.render.choice import Renderer, RendererName, open_renderer
 from twohands.synth.scene import instance_rng, sample_scene
 from twohands.synth.sensor import expose, sample_sensor
-from twohands.types import HandSample, RenderedFrame
+from twohands.types import HandSample, PinholeCamera, RenderedFrame
 
 _BACKGROUND_STREAM, _LIGHT_STREAM, _SENSOR_STREAM = 1 << 40, 1 << 42, 1 << 43
 """Offsets of the seeds that draw backgrounds, light and camera, so that they are independent of the scenes' own."""
@@ -54,7 +55,7 @@ class SyntheticStream:
         return open_renderer(self.renderer_name, self.config.width, self.config.height)
 
     def __getstate__(self) -> dict[str, object]:
-        return {key: value for key, value in self.__dict__.items() if key != "renderer"}
+        return {key: value for key, value in self.__dict__.items() if key not in ("renderer", "_background")}
 
     def __len__(self) -> int:
         return self.size
@@ -65,20 +66,33 @@ class SyntheticStream:
             raise IndexError(f"instance {index} of {self.size}")
         scene = sample_scene(self.config, self.seed, index)
         if instance_rng(self.seed, _LIGHT_STREAM + index).random() < self.config.background_light:
-            scene = replace(scene, lighting=lit_by(scene.lighting, self.background(index), scene.camera))
+            behind = self.background(index, scene.camera)
+            if behind.surroundings is None:
+                lighting = lit_by(scene.lighting, behind.picture, scene.camera)
+            else:
+                lighting = lit_inside(scene.lighting, behind.surroundings)
+            scene = replace(scene, lighting=lighting)
         frame = self.renderer.render(scene)
         return replace(frame, amodal=self.renderer.amodal(scene)) if self.config.amodal else frame
 
-    def background(self, index: int) -> np.ndarray:
-        """(H, W, 3) uint8 background of instance `index`."""
-        rng = instance_rng(self.seed, _BACKGROUND_STREAM + index)
-        return self.backgrounds.sample(rng, self.config.width, self.config.height)
+    def background(self, index: int, camera: PinholeCamera) -> Background:
+        """Background of instance `index`, whose camera that is."""
+        return self._background(index, camera)
+
+    @cached_property
+    def _background(self) -> Callable[[int, PinholeCamera], Background]:
+        """Keeps the last one: it gives light, then stands behind the hands."""
+
+        def sample(index: int, camera: PinholeCamera) -> Background:
+            return self.backgrounds.sample(instance_rng(self.seed, _BACKGROUND_STREAM + index), camera)
+
+        return lru_cache(maxsize=1)(sample)
 
     def picture(self, index: int, frame: RenderedFrame) -> np.ndarray:
         """(H, W, 3) uint8, the frame of instance `index` on its background, as its camera takes it."""
         rng = instance_rng(self.seed, _SENSOR_STREAM + index)
         sensor = sample_sensor(self.config.sensor, rng)
-        return expose(compose_frame(frame, self.background(index)), sensor, rng)
+        return expose(compose_frame(frame, self.background(index, frame.camera).picture), sensor, rng)
 
     def __getitem__(self, index: int) -> HandSample:
         frame = self.frame(index)

@@ -6,6 +6,7 @@ colour and coverage, one single-sampled for exact labels and depth.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import cv2
@@ -16,9 +17,13 @@ from twohands.skeleton import N_PART_LABELS
 from twohands.synth.body import BONE_NAMES, load_asset
 from twohands.synth.collision import capsules
 from twohands.synth.compositing import partly_covered
+from twohands.synth.render.chart import chart
+from twohands.synth.render.markings import on_painting, paint_markings
 from twohands.synth.render.shaders import (
     COLOUR_FRAGMENT,
     COLOUR_VERTEX,
+    DETAILED_FRAGMENT,
+    DETAILED_VERTEX,
     LABEL_FRAGMENT,
     LABEL_VERTEX,
     MAX_CAPSULES,
@@ -29,7 +34,7 @@ from twohands.synth.render.shaders import (
     THING_VERTEX,
 )
 from twohands.synth.render.surface import posed_things, surface, vertex_normals
-from twohands.synth.scene import SceneSpec
+from twohands.synth.scene import PATTERNS, SceneSpec
 from twohands.types import PinholeCamera, RenderedFrame
 
 NEAR_M, FAR_M = 0.01, 4.0
@@ -98,7 +103,10 @@ class RasterRenderer:
         look_buffer, index_buffer = _vertex_buffer(ctx, looks), ctx.buffer(attributes.faces.tobytes())
         self._pose = ctx.program(vertex_shader=POSE_VERTEX, varyings=POSED)
         self._label = ctx.program(vertex_shader=LABEL_VERTEX, fragment_shader=LABEL_FRAGMENT)
-        self._colour = ctx.program(vertex_shader=COLOUR_VERTEX, fragment_shader=COLOUR_FRAGMENT)
+        # Smooth skin, and skin with veins and creases, which costs more.
+        self._smooth = ctx.program(vertex_shader=COLOUR_VERTEX, fragment_shader=COLOUR_FRAGMENT)
+        self._detailed = ctx.program(vertex_shader=DETAILED_VERTEX, fragment_shader=DETAILED_FRAGMENT)
+        self._markings = lru_cache(maxsize=PATTERNS)(self._paint)
         names = ("bones_a", "bones_b", "weights_a", "weights_b", "resting", "along")
         self._rest_array = ctx.vertex_array(
             self._pose,
@@ -112,15 +120,15 @@ class RasterRenderer:
             [(self._posed, "3f 44x", "camera_position"), (look_buffer, "1f 24x", "part")],
             index_buffer,
         )
-        self._colour_array = ctx.vertex_array(
-            self._colour,
-            [
-                (self._posed, "3f 3f 3f 4f 1f", *POSED),
-                (self._shape, "3f 12x", "position"),
-                (look_buffer, "4x 2f 3f 1f", "look", "nail", "along"),
-            ],
-            index_buffer,
-        )
+        colour_rows = [
+            (self._posed, "3f 3f 3f 4f 1f", *POSED),
+            (self._shape, "3f 12x", "position"),
+            (look_buffer, "4x 2f 3f 1f", "look", "nail", "along"),
+        ]
+        painted_at = np.column_stack([on_painting(chart().vertices[:, :2]), chart().vertices[:, 2]])
+        on_chart = (_vertex_buffer(ctx, [painted_at]), "3f", "chart")
+        self._smooth_array = ctx.vertex_array(self._smooth, colour_rows, index_buffer)
+        self._detailed_array = ctx.vertex_array(self._detailed, [*colour_rows, on_chart], index_buffer)
 
         self._thing_rows, self._thing_faces = ctx.buffer(reserve=44), ctx.buffer(reserve=12)
         self._thing = ctx.program(vertex_shader=THING_VERTEX, fragment_shader=THING_FRAGMENT)
@@ -162,9 +170,12 @@ class RasterRenderer:
         self._upload_shape(scene)
         projection = _projection(scene.camera)
         self._pose["bones"].write(_palette(scene))
-        for program in (self._colour, self._label, self._thing, self._thing_label):
+        colour, colour_array = self._smooth, self._smooth_array
+        if scene.skin.detail is not None:
+            colour, colour_array = self._detailed, self._detailed_array
+        for program in (colour, self._label, self._thing, self._thing_label):
             program["projection"].write(projection)
-        self._write_look(scene)
+        self._write_look(scene, colour)
         corners = self._write_things(scene)
         self._write_occluders(scene)
         self._labelled.use()  # before the vertices: without a complete framebuffer OpenGL draws nothing
@@ -183,7 +194,7 @@ class RasterRenderer:
             self._multisampled.scissor = area  # holds for the copy too
             self._multisampled.use()
             self.ctx.clear(0.0, 0.0, 0.0, 0.0)
-            self._draw(self._colour_array, scene.present)
+            self._draw(colour_array, scene.present)
             if corners:
                 self._thing_arrays[0].render(vertices=corners)
             self.ctx.copy_framebuffer(self._resolved, self._multisampled)
@@ -222,12 +233,22 @@ class RasterRenderer:
         self._shape.write(np.ascontiguousarray(data, np.float32).tobytes())
         self._shape_key = key
 
-    def _write_look(self, scene: SceneSpec) -> None:
+    def _paint(self, pattern: int) -> Any:
+        """The texture of veins and creases with this number."""
+        painted = paint_markings(pattern)
+        sheets, height, width, channels = painted.shape
+        texture = self.ctx.texture_array((width, height, sheets), channels, painted.tobytes(), alignment=1)
+        texture.build_mipmaps()
+        texture.filter = (self.ctx.LINEAR_MIPMAP_NEAREST, self.ctx.LINEAR)
+        texture.repeat_x = texture.repeat_y = False  # beyond the border: nothing
+        return texture
+
+    def _write_look(self, scene: SceneSpec, colour: Any) -> None:
         skin, light, clothes = scene.skin, scene.lighting, scene.clothes
         positions, colours = np.zeros((MAX_LIGHTS, 3)), np.zeros((MAX_LIGHTS, 3))
         positions[: len(light.positions)] = light.positions
         colours[: len(light.colours)] = light.colours
-        for program in (self._colour, self._pose, self._thing):
+        for program in (colour, self._pose, self._thing):
             # Lights stand in the body's metres, so that scaling the world leaves the picture as it is.
             program["light_position"].write((positions * scene.scale).astype("f4").tobytes())
             program["light_colour"].write((colours * scene.scale**2).astype("f4").tobytes())
@@ -235,20 +256,23 @@ class RasterRenderer:
         for program in (self._pose, self._thing):
             program["sky"].value = tuple(light.sky)
             program["ground"].value = tuple(light.ground)
-        for program in (self._colour, self._pose):
+        for program in (colour, self._pose):
             program["sleeve_from"].value = min(clothes.sleeve_from, NOWHERE)
             program["glove_until"].value = max(clothes.glove_until, -NOWHERE)
             program["sleeve_albedo"].value = tuple(clothes.sleeve_albedo)
             program["albedo"].value = tuple(skin.albedo)
             program["noise_offset"].value = tuple(skin.seed)
         self._pose["thickness"].value = clothes.thickness_m
-        colour = self._colour
         colour["palm_albedo"].value = tuple(skin.palm_albedo)
         colour["nail_albedo"].value = tuple(skin.nail_albedo)
         colour["glove_albedo"].value = tuple(clothes.glove_albedo)
         colour["pattern"].value = tuple(clothes.pattern)
         colour["roughness"].value = skin.roughness
         colour["mottle"].value = skin.mottle
+        if skin.detail is not None:
+            detail = skin.detail
+            colour["detail"].value = detail.veins, detail.creases, detail.freckles, detail.moles
+            self._markings(detail.pattern).use()
 
     def _write_things(self, scene: SceneSpec) -> int:
         """Uploads the things; returns the number of their triangles' corners."""

@@ -169,8 +169,7 @@ void main() {
 }
 """
 
-COLOUR_VERTEX: Final = """
-#version 330
+_COLOUR_VERTEX: Final = """
 uniform mat4 projection;
 in vec3 camera_position;
 in vec3 camera_normal;
@@ -190,8 +189,15 @@ out vec2 skin;
 out vec3 nail_position;
 out float on_arm;
 out float blotch;
+#ifdef DETAIL
+in vec3 chart;
+out vec3 on_chart;
+#endif
 
 void main() {
+#ifdef DETAIL
+    on_chart = chart;
+#endif
     point = camera_position;
     facing = camera_normal;
     received = irradiance;
@@ -258,8 +264,27 @@ void main() {{
 }}
 """
 
-COLOUR_FRAGMENT: Final = f"""
-#version 330
+_DETAIL: Final = """
+uniform sampler2DArray markings;
+uniform vec4 detail;  // strength of veins, creases, freckles, moles
+in vec3 on_chart;  // place on the markings, 0..1, and how squarely the skin faces its sheet
+
+// The normal of a surface raised by `height` metres. Source: Mikkelsen 2010, bump mapping unparametrized surfaces.
+vec3 raised(vec3 n, float height) {
+    vec3 across = dFdx(point), down = dFdy(point);
+    vec3 a = cross(down, n), b = cross(n, across);
+    float area = dot(across, a);
+    return normalize(area * n - dFdx(height) * a - dFdy(height) * b) * sign(area);
+}
+
+// How far a vein stands out here, how deep a crease is, how dark freckles and moles are.
+vec4 marked() {
+    vec4 here = texture(markings, vec3(on_chart.xy, step(0.0, on_chart.z)));
+    return here * detail * clamp(2.5 * abs(on_chart.z) - 0.25, 0.0, 1.0);
+}
+"""
+
+_COLOUR_FRAGMENT: Final = f"""
 uniform vec3 light_position[{MAX_LIGHTS}];
 uniform vec3 light_colour[{MAX_LIGHTS}];
 uniform vec3 albedo, palm_albedo, nail_albedo, noise_offset;
@@ -279,6 +304,9 @@ out vec4 colour;
 
 {_GRAIN}
 {_TONE}
+#ifdef DETAIL
+{_DETAIL}
+#endif
 
 void main() {{
     vec3 n = normalize(facing);
@@ -298,6 +326,15 @@ void main() {{
     gloss = mix(gloss, 0.22, on_nail);
 
     bool sleeve = on_arm > sleeve_from, glove = on_arm < glove_until;
+#ifdef DETAIL
+    vec4 mark = marked();
+    base = mix(base, min(base, albedo), 0.6 * mark.y);  // lines of a pale palm have the colour of the back
+    base *= (1.0 - mark.x * vec3(0.20, 0.07, 0.03)) * (1.0 - mark.y * vec3(0.20, 0.32, 0.34))
+          * (1.0 - mark.z * vec3(0.25, 0.40, 0.50)) * (1.0 - mark.w * vec3(0.60, 0.72, 0.78));
+    vec3 smooth_n = n;
+    if (!(sleeve || glove)) n = raised(n, 0.0010 * mark.x - 0.0005 * mark.y);
+    vec3 bend = n - smooth_n;
+#endif
     if (sleeve || glove) {{
         float across = rest_position.x * cos(pattern.z) + rest_position.y * sin(pattern.z);
         float stripe = sin(6.2831853 / pattern.y * across);
@@ -310,8 +347,19 @@ void main() {{
     for (int i = 0; i < light_count; ++i) {{
         vec3 to_light = light_position[i] - point;
         float d2 = dot(to_light, to_light);
-        lit += reached[i] / d2 * light_colour[i] * shine(n, to_light * inversesqrt(d2), v, gloss);
+        vec3 l = to_light * inversesqrt(d2);
+        vec3 seen = vec3(shine(n, l, v, gloss));
+#ifdef DETAIL
+        seen += base * dot(bend, l);
+#endif
+        lit += reached[i] / d2 * light_colour[i] * seen;
     }}
     colour = tone(lit);
 }}
 """
+
+_PLAIN, _DETAILED = "#version 330\n", "#version 330\n#define DETAIL\n"
+COLOUR_VERTEX: Final = _PLAIN + _COLOUR_VERTEX
+COLOUR_FRAGMENT: Final = _PLAIN + _COLOUR_FRAGMENT
+DETAILED_VERTEX: Final = _DETAILED + _COLOUR_VERTEX
+DETAILED_FRAGMENT: Final = _DETAILED + _COLOUR_FRAGMENT
