@@ -54,6 +54,9 @@ def test_the_shipped_presets_are_complete():
         (lambda card: card["hand_seg_net"].update(input_size=[48]), "card: "),
         (lambda card: card["hand_seg_net"].update(input_size=[0, 80]), "height, width"),
         (lambda card: card.update(hand_seg_net=3), "card: "),
+        (lambda card: card.update(int8=["hand_seg_net"]), "card: "),
+        (lambda card: card.update(int8={"hand_net": {}}), "unknown networks, hand_net"),
+        (lambda card: card.update(int8={"hand_seg_net": {"relu": 0}}), "peaks larger than 0"),
     ],
 )
 def test_a_bad_card_is_refused(copied, change, message):

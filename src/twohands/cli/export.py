@@ -23,6 +23,8 @@ class ExportArgs:
     """Folder to write: three ONNX files and card.json."""
     name: str | None = None
     """Name of the preset; default the folder's name."""
+    int8: bool = False
+    """Run the two large networks in 8 bits: how large their activations get is measured on generated pictures."""
     overwrite: bool = False
     """Write into a folder that already holds something."""
 
@@ -41,6 +43,10 @@ def run(args: ExportArgs) -> int:
         "pose_net_3d": args.pose_net_3d,
     }
     export_preset(checkpoints, args.out, name=name)
+    if args.int8:
+        from twohands.export.calibration import add_int8, generated_pictures
+
+        add_int8(args.out, generated_pictures())
     for file in sorted(args.out.iterdir()):
         print(f"{file}  {file.stat().st_size / 1e6:.2f} MB")
     return 0

@@ -5,17 +5,22 @@ The estimator knows only `Networks`: three callables. A test, or another runtime
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
+from typing import Final
 
 import numpy as np
 
 from twohands.errors import CheckpointError
+from twohands.inference.int8 import quantise
 from twohands.skeleton import N_JOINTS
 
 HEAVY_LAYERS = ("Convolution", "FullyConnected", "MatMul")
 """OpenVINO's names of the layers that take nearly all the time."""
+
+NO_PEAKS: Final[Mapping[str, float]] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,19 +44,29 @@ class Networks:
 class OpenVinoNetwork:
     """One ONNX file, compiled for the CPU, called like a function.
 
-    The arithmetic is whatever the processor does best: bfloat16 where it has such units, else float32.
+    The arithmetic is int8 where the peaks of the activations are known, else whatever the processor does best: bfloat16
+    where it has such units, or float32.
 
     Args:
         path: the ONNX file.
         input_channels: the channel count that this role in the pipeline feeds.
         output_channels: second dimension of each output that this role promises.
         threads: CPU threads; 0 leaves OpenVINO's choice.
+        int8_peaks: peaks of its activations (`inference.int8`); none for floating point.
 
     Raises:
         CheckpointError: the file is missing, damaged, or holds a network for another role.
     """
 
-    def __init__(self, path: Path, *, input_channels: int, output_channels: tuple[int, ...], threads: int = 0) -> None:
+    def __init__(
+        self,
+        path: Path,
+        *,
+        input_channels: int,
+        output_channels: tuple[int, ...],
+        threads: int = 0,
+        int8_peaks: Mapping[str, float] = NO_PEAKS,
+    ) -> None:
         import openvino
 
         try:
@@ -65,6 +80,7 @@ class OpenVinoNetwork:
                 f"{path}: another network; expected {input_channels} channels in and {list(output_channels)} out, "
                 f"found {found_in} in and {found_out} out"
             )
+        quantise(model, int8_peaks)
         settings = {"PERFORMANCE_HINT": "LATENCY", "INFERENCE_NUM_THREADS": threads}
         self._network = openvino.compile_model(model, "CPU", settings)
 
@@ -95,19 +111,28 @@ class OpenVinoNetwork:
         return {"int8" if name in ("u8", "i8") else name for name in found}
 
 
-def load_networks(folder: Path, threads: int = 0) -> Networks:
+def load_networks(
+    folder: Path, threads: int = 0, int8: Mapping[str, Mapping[str, float]] = MappingProxyType({})
+) -> Networks:
     """Compile the three networks of a preset's folder.
 
     Args:
         folder: of the preset.
         threads: CPU threads; 0 leaves OpenVINO's choice, all cores.
+        int8: as on the card: networks that run in 8 bits -> peaks of their activations.
 
     Raises:
         CheckpointError: a file is missing, damaged, or holds another network.
     """
 
     def compiled(name: str, inputs: int, *outputs: int) -> OpenVinoNetwork:
-        return OpenVinoNetwork(folder / f"{name}.onnx", input_channels=inputs, output_channels=outputs, threads=threads)
+        return OpenVinoNetwork(
+            folder / f"{name}.onnx",
+            input_channels=inputs,
+            output_channels=outputs,
+            threads=threads,
+            int8_peaks=int8.get(name, NO_PEAKS),
+        )
 
     seg = compiled("hand_seg_net", 3, 3, 2)
     pose_2d = compiled("pose_net_2d", 3, N_JOINTS)

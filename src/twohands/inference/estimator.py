@@ -84,7 +84,7 @@ class HandEstimator:
         """
         folder = preset_folder(preset)
         card = read_card(folder)
-        return cls(load_networks(folder, threads), card)
+        return cls(load_networks(folder, threads, card.int8), card)
 
     def estimate(
         self,

@@ -13,14 +13,17 @@ The card holds what inference must know; every other key (recipe, seed, accuracy
       "version": 1,
       "name": "fast",
       "hand_seg_net": {"input_size": [272, 480]},
-      "pose_net_2d": {"crop_size": 128, "crop_kind": "perspective", "crop_margin": 1.5, "heatmap_decode": "softargmax"}
+      "pose_net_2d": {"crop_size": 128, "crop_kind": "perspective", "crop_margin": 1.5, "heatmap_decode": "softargmax"},
+      "int8": {"hand_seg_net": {"node_relu": 21.5, ...}, ...}
     }
 """
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -46,6 +49,7 @@ class WeightsCard:
         crop_margin: crop side over the larger side of the hand's box.
         heatmap_decode: "subpixel" for maps with linear output, "softargmax" for probability maps.
         background: brightness of the background in the crop, 0..1; 0 where the card does not say.
+        int8: networks that run in 8 bits -> name of every ReLU -> largest value after it (`inference.int8`).
     """
 
     name: str
@@ -55,6 +59,7 @@ class WeightsCard:
     crop_margin: float
     heatmap_decode: str
     background: float = 0.0
+    int8: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if len(self.seg_input_size) != 2 or min(self.seg_input_size) < 1:
@@ -93,11 +98,26 @@ class WeightsCard:
                 crop_margin=float(pose["crop_margin"]),
                 heatmap_decode=str(pose["heatmap_decode"]),
                 background=float(pose.get("background", 0.0)),
+                int8=_peaks(card.get("int8", {})),
             )
         except KeyError as error:
             raise CheckpointError(f"card: key {error} is missing") from error
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, AttributeError) as error:
             raise CheckpointError(f"card: {error}") from error
+
+
+def _peaks(int8: Any) -> dict[str, dict[str, float]]:
+    """The card's "int8", checked.
+
+    Raises:
+        ValueError: it is something else.
+    """
+    peaks = {str(net): {str(name): float(peak) for name, peak in of_net.items()} for net, of_net in int8.items()}
+    if set(peaks) - set(NETWORK_NAMES):
+        raise ValueError(f"int8 names unknown networks, {', '.join(sorted(set(peaks) - set(NETWORK_NAMES)))}")
+    if not all(0 < peak < math.inf for of_net in peaks.values() for peak in of_net.values()):
+        raise ValueError("int8 must hold peaks larger than 0")
+    return peaks
 
 
 def preset_names() -> list[str]:

@@ -1,0 +1,100 @@
+"""8-bit arithmetic for the convolutions of a network, from nothing but the peaks of its activations.
+
+Weights get one scale per output channel, which they carry in themselves. What follows a ReLU gets one scale, from a
+peak that was measured once, on pictures like those to come (`activation_peaks`), and is stored in the weights' card.
+OpenVINO turns the rounding steps that are put in here into 8-bit kernels, three times as fast as float32 where the
+processor has dot products of bytes. First and last layers, which nothing rectifies, stay as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twohands.errors import CheckpointError
+
+ACTIVATION_LEVELS = 256
+WEIGHT_LEVELS = 255
+"""Symmetric about zero."""
+
+
+def activation_peaks(path: Path, batches: Iterable[np.ndarray]) -> dict[str, float]:
+    """The largest value after every ReLU of a network.
+
+    Args:
+        path: ONNX file.
+        batches: inputs of the network, (B, C, H, W) float32, as many as are needed to meet what will come.
+
+    Returns:
+        Name of the ReLU in the file -> its peak, larger than 0; ReLUs that never let anything through are left out.
+    """
+    import openvino
+
+    model = openvino.Core().read_model(path)
+    rectified, own_outputs = _rectified(model), len(model.outputs)
+    model.add_outputs([node.output(0) for node in rectified])
+    network = openvino.compile_model(model, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
+    outputs = network.outputs[own_outputs:]
+    peaks = np.zeros(len(rectified))
+    for batch in batches:
+        result = network([np.ascontiguousarray(batch, np.float32)])
+        peaks = np.maximum(peaks, [result[output].max() for output in outputs])
+    return {node.get_friendly_name(): float(peak) for node, peak in zip(rectified, peaks, strict=True) if peak > 0}
+
+
+def quantise(model: Any, peaks: Mapping[str, float]) -> None:
+    """Make a network round its activations and weights to 8 bits, in place.
+
+    Args:
+        model: as `openvino.Core().read_model` gives it.
+        peaks: of `activation_peaks`; activations beyond their peak are clipped.
+
+    Raises:
+        CheckpointError: `peaks` names a ReLU that the network does not have.
+    """
+    rectified = {node.get_friendly_name(): node for node in _rectified(model)}
+    unknown = sorted(set(peaks) - set(rectified))
+    if unknown:
+        raise CheckpointError(f"card: int8 names '{unknown[0]}', which the network does not have")
+    rounded = set()
+    for name, peak in peaks.items():
+        node = rectified[name]
+        targets = list(node.output(0).get_target_inputs())
+        rounding = _rounding(node.output(0), np.float32(0), np.float32(peak), ACTIVATION_LEVELS)
+        for target in targets:
+            target.replace_source_output(rounding.output(0))
+        rounded.add(rounding.get_friendly_name())
+    for node in model.get_ordered_ops():
+        if node.get_type_name() != "Convolution":
+            continue
+        if node.input_value(0).get_node().get_friendly_name() not in rounded:
+            continue
+        peak = np.abs(_constant(node.input_value(1))).max(axis=(1, 2, 3), keepdims=True)
+        peak = np.maximum(peak, np.finfo(np.float32).tiny)
+        node.input(1).replace_source_output(_rounding(node.input_value(1), -peak, peak, WEIGHT_LEVELS).output(0))
+    model.validate_nodes_and_infer_types()
+
+
+def _rectified(model: Any) -> list[Any]:
+    """The ReLUs that something depends on, in the order of execution."""
+    nodes = (node for node in model.get_ordered_ops() if node.get_type_name() == "Relu")
+    return [node for node in nodes if node.output(0).get_target_inputs()]
+
+
+def _rounding(source: Any, low: Any, high: Any, levels: int) -> Any:
+    """Clip to [low, high] and round to that many levels."""
+    from openvino import opset13 as opset
+
+    low, high = opset.constant(np.asarray(low, np.float32)), opset.constant(np.asarray(high, np.float32))
+    return opset.fake_quantize(source, low, high, low, high, levels)
+
+
+def _constant(source: Any) -> np.ndarray:
+    """Values of a weight, stored as float32 or as float16 to be converted."""
+    node = source.get_node()
+    if node.get_type_name() == "Convert":
+        node = node.input_value(0).get_node()
+    return np.asarray(node.data, np.float32)

@@ -1,0 +1,88 @@
+"""8-bit arithmetic: peaks of activations, and that rounding changes little."""
+
+import json
+import shutil
+
+import numpy as np
+import openvino
+import pytest
+from openvino import opset13 as opset
+from tests.oracles import write_tiny_weights
+
+from twohands.cli.demo import examples_folder
+from twohands.errors import CheckpointError
+from twohands.geometry.segmentation import letterbox, masks_from_logits, network_input
+from twohands.inference.engine import OpenVinoNetwork, load_networks
+from twohands.inference.int8 import activation_peaks, quantise
+from twohands.inference.sources import list_images, read_image
+from twohands.inference.weights import DEFAULT_PRESET, preset_folder, read_card
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory):
+    return write_tiny_weights(tmp_path_factory.mktemp("weights") / "tiny")
+
+
+def doubling_network():
+    """x -> ReLU(2 x) -> times 3, as two 1x1 convolutions."""
+    x = opset.parameter([1, 1, 2, 2], np.float32)
+    doubled = opset.convolution(x, opset.constant(np.full((1, 1, 1, 1), 2, np.float32)), [1, 1], [0, 0], [0, 0], [1, 1])
+    rectified = opset.relu(doubled)
+    rectified.set_friendly_name("rectified")
+    weight = opset.constant(np.full((1, 1, 1, 1), 3, np.float32))
+    result = opset.convolution(rectified, weight, [1, 1], [0, 0], [0, 0], [1, 1])
+    return openvino.Model([result], [x])  # pyright: ignore[reportGeneralTypeIssues]
+
+
+def test_values_after_a_relu_are_clipped_and_rounded_to_256_levels():
+    model = doubling_network()
+    quantise(model, {"rectified": 51.0})  # steps of 0.2
+    network = openvino.compile_model(model, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
+    found = network([np.array([[[[1.04, -1.0], [1.06, 40.0]]]], np.float32)])[0]
+    # 2.08 -> 2.0, negative -> 0, 2.12 -> 2.2, 80 -> 51; the weight 3 is its own peak, which is a level
+    np.testing.assert_allclose(found.ravel(), [6.0, 0.0, 6.6, 153.0], atol=1e-3)
+
+
+def test_peaks_are_the_largest_values_over_all_batches():
+    rng = np.random.default_rng(0)
+    batches = [rng.random((2, 21, 32, 32), np.float32) for _ in range(2)]
+    path = preset_folder(DEFAULT_PRESET) / "pose_net_3d.onnx"
+    together, apart = activation_peaks(path, batches), [activation_peaks(path, [batch]) for batch in batches]
+    assert together and set(together) == set(apart[0]) | set(apart[1])
+    for name, peak in together.items():
+        assert peak == max(peaks.get(name, 0.0) for peaks in apart) > 0
+
+
+def test_unknown_activations_are_refused(tiny):
+    model = openvino.Core().read_model(tiny / "hand_seg_net.onnx")
+    with pytest.raises(CheckpointError, match="int8 names 'other'"):
+        quantise(model, {"other": 1.0})
+
+
+def test_shipped_masks_stay_as_they_are_in_8_bits():
+    network_file = preset_folder(DEFAULT_PRESET) / "hand_seg_net.onnx"
+    size = read_card(network_file.parent).seg_input_size
+    images = [read_image(path) for path in list_images(examples_folder())]
+    canvases = [network_input(letterbox(image, size)[0][None]) for image in images]
+    ports = {"input_channels": 3, "output_channels": (3, 2)}
+    exact, rounded = (
+        OpenVinoNetwork(network_file, **ports, int8_peaks=peaks)
+        for peaks in ({}, activation_peaks(network_file, canvases))
+    )
+    assert "int8" in rounded.arithmetic and "int8" not in exact.arithmetic
+    for canvas in canvases:
+        masks = [masks_from_logits(network(canvas)[0][0], size, np.ones(2, bool)) for network in (exact, rounded)]
+        hands = (masks[0] > 0) | (masks[1] > 0)
+        assert hands.sum() > 100 and (masks[0] != masks[1])[hands].mean() < 0.03
+
+
+def test_the_card_decides(tmp_path):
+    folder = shutil.copytree(preset_folder(DEFAULT_PRESET), tmp_path / "copy")
+    inputs = np.random.default_rng(0).random((1, 21, 32, 32), np.float32)
+    card = json.loads((folder / "card.json").read_text())
+    card["int8"] = {"pose_net_3d": activation_peaks(folder / "pose_net_3d.onnx", [inputs])}
+    (folder / "card.json").write_text(json.dumps(card))
+    read = read_card(folder)
+    assert read.int8 == card["int8"]
+    assert "int8" in load_networks(folder, int8=read.int8).runtime
+    assert "int8" not in load_networks(folder).runtime
