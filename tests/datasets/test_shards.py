@@ -14,6 +14,8 @@ from twohands.datasets.shards import ShardedEgo3DHands, open_ego3dhands
 from twohands.errors import DataFormatError, InputError
 from twohands.synth.manifest import claimed_folder
 from twohands.synth.sinks import FolderSink, ShardSink
+from twohands.training.config import DataConfig
+from twohands.training.sources import open_source
 
 NAMES = [f"{i:05d}" for i in range(5)]
 
@@ -45,6 +47,16 @@ def test_same_samples_from_shards_and_folders(sets):
         for name in ("image", "present", "joints_px", "joints_m", "valid", "labels", "depth_m"):
             np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
         assert one.camera == two.camera
+
+
+def test_training_takes_either(sets):
+    pictures = [open_source(DataConfig(source=str(root), validation=0))[0] for root in sets]
+    assert [len(source) for source in pictures] == [5, 5]
+    for i in range(5):
+        from_folder, from_shard = (source[i] for source in pictures)
+        assert from_folder.depth_m is None and from_shard.depth_m is None
+        np.testing.assert_array_equal(from_folder.image, from_shard.image)
+        np.testing.assert_array_equal(from_folder.labels, from_shard.labels)
 
 
 def test_sound_sets_have_no_problem(sets):

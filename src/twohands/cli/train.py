@@ -29,7 +29,8 @@ class TrainArgs:
     out: Path
     """Folder of the run."""
     data: tuple[str, ...] = ()
-    """Folders of training pictures, or "synthetic" to render them on the fly; needed unless resuming."""
+    """Folders of training pictures (instances, tar shards or frames), or "synthetic" to render them on the fly; needed
+    unless resuming."""
     backgrounds: tuple[Path, ...] = ()
     """Folders of photographs to put behind rendered hands, beside procedural backgrounds."""
     recipe: Literal["ours", "paper"] = "ours"

@@ -24,7 +24,7 @@ def open_source(spec: DataConfig, *, with_empty: bool = False) -> tuple[SampleSo
     """Training and held-out pictures.
 
     Args:
-        spec: `source` names folders, each in the Ego3DHands layout or of cached frames, or is "synthetic".
+        spec: `source` names folders, of instances, of tar shards or of cached frames, or is "synthetic".
         with_empty: whether cached frames also give pictures without hands (`spec.empty`).
 
     Returns:
@@ -61,9 +61,10 @@ def _open_folder(name: str, spec: DataConfig, validation: int, with_empty: bool)
             FrameCache(folder, backgrounds, (cut, frames)),
         )
 
-    from twohands.datasets.ego3dhands import Ego3DHands
+    from twohands import ego3dhands_format as fmt
+    from twohands.datasets.shards import open_ego3dhands
 
-    return split(Ego3DHands(folder), validation)
+    return split(open_ego3dhands(folder).leaving_out({fmt.DEPTH_FILE}), validation)
 
 
 def split(source: SampleSource, validation: int) -> tuple[IndexRange, IndexRange]:
