@@ -10,6 +10,7 @@ from twohands.geometry.segmentation import (
     PRESENCE_THRESHOLD,
     boxes_from_energy,
     energy_box,
+    hand_scores,
     letterbox,
     masks_from_logits,
     network_input,
@@ -96,19 +97,33 @@ def test_the_opening_shrinks_with_the_map():
 
 def test_presence_is_decided_at_the_threshold():
     energies = np.zeros((2, 100, 512))
-    energies[0, 20:60, 100:150] = PRESENCE_THRESHOLD
-    energies[1, 20:60, 300:350] = PRESENCE_THRESHOLD - 1e-3
-    found = boxes_from_energy(energies, (100, 512))
+    energies[0, 20:60, 100:150] = energies[1, 20:60, 300:350] = 0.9
+    scores = np.array([PRESENCE_THRESHOLD, PRESENCE_THRESHOLD - 1e-3])
+    found = boxes_from_energy(energies, (100, 512), scores)
     assert found.present.tolist() == [True, False]
     assert np.isnan(found.boxes_px[1]).all()
-    np.testing.assert_allclose(found.scores, [PRESENCE_THRESHOLD, PRESENCE_THRESHOLD - 1e-3])
+    np.testing.assert_array_equal(found.scores, scores)
+    told = boxes_from_energy(energies, (100, 512), scores, np.array([False, True]))
+    assert told.present.tolist() == [False, True]
+
+
+def test_a_score_joins_the_odds_of_energy_and_mask():
+    """Left: energy 0.8 (odds 4), and a lead of log 9 over the next class, here the right hand: sqrt(4 * 9) = 6 to 1.
+    Right: energy 0.5 (odds 1), never ahead, log 4 behind at best: sqrt(1 / 4) = 1 to 2."""
+    energies, logits = np.zeros((2, 4, 6)), np.zeros((3, 4, 6))
+    energies[0, 1, 2], energies[1, 3, 3] = 0.8, 0.5
+    logits[2] = -np.log(4)
+    logits[:, 2, 5] = -7.0, np.log(9) + 1.0, 1.0
+    logits[:, 0, 0] = 0.0, -3.0, -np.log(4)
+    logits[2, 2, 5] = 1.0
+    np.testing.assert_allclose(hand_scores(energies, logits), [6 / 7, 1 / 3], rtol=1e-6)
 
 
 def test_boxes_come_in_pixels_of_the_picture():
     """Twice as wide and three times as high as the map."""
     energies = np.zeros((2, 100, 512))
     energies[:, 20:60, 100:150] = 1.0
-    found = boxes_from_energy(energies, (300, 1024))
+    found = boxes_from_energy(energies, (300, 1024), np.ones(2))
     np.testing.assert_allclose(found.boxes_px, [[200, 60, 300, 180]] * 2)
 
 
@@ -116,7 +131,7 @@ def test_true_energies_find_both_hands_of_a_picture():
     for seed in range(10):
         sample = drawn_hands(seed)
         energies = encode_energy(true_boxes(sample), sample.present, 135, 240)
-        found = boxes_from_energy(energies, (135, 240))
+        found = boxes_from_energy(energies, (135, 240), np.ones(2))
         assert found.present.all()
         assert box_iou(found.boxes_px, true_boxes(sample)).min() > 0.85
 

@@ -118,14 +118,14 @@ def test_truth_can_deny_a_hand_that_has_a_box():
     assert [hand.present for hand in pose.hands] == [False, True]
 
 
-def test_true_presence_overrules_a_low_energy_but_the_box_is_still_estimated():
+def test_true_presence_overrules_a_low_score_but_the_box_is_still_estimated():
     sample = drawn_hands(5)
     oracle = Oracle(sample, make_card())
 
     def faint(batch):
         seg_logits, energy_logits = oracle.hand_seg_net(batch)
         energy = 0.3 / (1 + np.exp(-energy_logits))
-        return seg_logits, np.log(energy / (1 - energy))
+        return seg_logits / 20, np.log(energy / (1 - energy))
 
     networks = dataclasses.replace(oracle.estimator.networks, hand_seg_net=faint)
     estimator = HandEstimator(networks, oracle.card)

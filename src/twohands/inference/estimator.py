@@ -19,6 +19,7 @@ from twohands.geometry.projection import project_global, range_weights
 from twohands.geometry.segmentation import (
     HandBoxes,
     boxes_from_energy,
+    hand_scores,
     letterbox,
     masks_from_logits,
     network_input,
@@ -137,7 +138,7 @@ class HandEstimator:
         if masks is None or boxes is None:
             seg_logits, energies = self.hand_maps(image)
             if boxes is None:
-                boxes = boxes_from_energy(energies, size, present=truth.present)
+                boxes = boxes_from_energy(energies, size, hand_scores(energies, seg_logits), truth.present)
             if masks is None:
                 masks = masks_from_logits(seg_logits, size, boxes.present)
         return masks, boxes

@@ -20,7 +20,7 @@ from torch.utils.data import DataLoader, Dataset, Sampler
 
 from twohands.datasets.targets import PoseTarget, Segmentation, pose_target, segmentation_target
 from twohands.errors import InputError
-from twohands.geometry.segmentation import boxes_from_energy, letterbox, masks_from_logits, network_input
+from twohands.geometry.segmentation import boxes_from_energy, hand_scores, letterbox, masks_from_logits, network_input
 from twohands.models.blocks import fold_batch_norm
 from twohands.models.checkpoint import load_network
 from twohands.models.hand_seg_net import HandSegNetConfig
@@ -135,8 +135,9 @@ class Segmenter:
         logits, energies = (np.ascontiguousarray(m.float().numpy()) for m in (logits, torch.sigmoid(energies.float())))
         found = []
         for i, image in enumerate(images):
-            boxes = boxes_from_energy(places[i].content(energies[i]), image.shape[:2])
-            classes = masks_from_logits(places[i].content(logits[i]), image.shape[:2], boxes.present)
+            seg_logits, energy = places[i].content(logits[i]), places[i].content(energies[i])
+            boxes = boxes_from_energy(energy, image.shape[:2], hand_scores(energy, seg_logits))
+            classes = masks_from_logits(seg_logits, image.shape[:2], boxes.present)
             found.append(Segmentation(classes, boxes.boxes_px))
         return found
 
