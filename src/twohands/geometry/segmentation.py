@@ -174,7 +174,7 @@ def hand_scores(energies: np.ndarray, seg_logits: np.ndarray) -> np.ndarray:
         (2,) 0..1: the mean, as log-odds, of the energy's peak and of the mask's lead over the next class where it is
         most certain.
     """
-    peaks = np.clip(energies.max(axis=(1, 2)).astype(np.float64), 1e-6, 1 - 1e-6)
+    peaks = np.minimum(np.maximum(energies.max(axis=(1, 2)).astype(np.float64), 1e-6), 1 - 1e-6)
     planes = np.ascontiguousarray(seg_logits, np.float32)
     leads = [float(np.max(planes[1 + side] - np.maximum(planes[0], planes[2 - side]))) for side in (0, 1)]
     return 1 / (1 + np.exp(-(np.log(peaks / (1 - peaks)) + leads) / 2))
