@@ -180,13 +180,13 @@ out vec2 skin;
 out vec3 nail_position;
 out float on_arm;
 out float blotch;
-#ifdef DETAIL
+#ifdef CHART
 in vec3 chart;
 out vec3 on_chart;
 #endif
 
 void main() {
-#ifdef DETAIL
+#ifdef CHART
     on_chart = chart;
 #endif
     point = camera_position;
@@ -258,7 +258,6 @@ void main() {{
 _DETAIL: Final = """
 uniform sampler2DArray markings;
 uniform vec4 detail;  // strength of veins, creases, freckles, moles
-in vec3 on_chart;  // place on the markings, 0..1, and how squarely the skin faces its sheet
 
 // The normal of a surface raised by `height` metres. Source: Mikkelsen 2010, bump mapping unparametrized surfaces.
 vec3 raised(vec3 n, float height) {
@@ -295,8 +294,16 @@ out vec4 colour;
 
 {_NOISE}
 {_TONE}
+#ifdef CHART
+in vec3 on_chart;  // place on the markings, 0..1, and how squarely the skin faces its sheet
+#endif
 #ifdef DETAIL
 {_DETAIL}
+#endif
+#ifdef FABRIC
+uniform sampler2D tile;
+uniform mat2 weave;  // from the place on the markings to that on the tile, once round at 1
+uniform vec3 mean;  // colour of the tile
 #endif
 
 void main() {{
@@ -330,7 +337,12 @@ void main() {{
         float across = rest_position.x * cos(pattern.z) + rest_position.y * sin(pattern.z);
         float stripe = sin(6.2831853 / pattern.y * across);
         base = sleeve ? sleeve_albedo * (1.0 - pattern.x * smoothstep(-0.1, 0.1, stripe)) : glove_albedo;
+#ifdef FABRIC
+        vec3 thread = texture(tile, weave * on_chart.xy).rgb;
+        base *= thread * thread / mean;
+#else
         base *= 1.0 + 0.24 * grain + 0.25 * blotch;
+#endif
         if (sleeve) base *= 0.72 + 0.28 * smoothstep(0.0, 0.012, on_arm - sleeve_from);  // the hem
         gloss = 0.85;
     }}
@@ -349,8 +361,9 @@ void main() {{
 }}
 """
 
-_PLAIN, _DETAILED = "#version 330\n", "#version 330\n#define DETAIL\n"
-COLOUR_VERTEX: Final = _PLAIN + _COLOUR_VERTEX
-COLOUR_FRAGMENT: Final = _PLAIN + _COLOUR_FRAGMENT
-DETAILED_VERTEX: Final = _DETAILED + _COLOUR_VERTEX
-DETAILED_FRAGMENT: Final = _DETAILED + _COLOUR_FRAGMENT
+
+def colour_shaders(*, detailed: bool, woven: bool) -> tuple[str, str]:
+    """Vertex and fragment shader of the picture, with veins and creases or without, with a fabric or without."""
+    parts = {"DETAIL": detailed, "FABRIC": woven, "CHART": detailed or woven}
+    head = "#version 330\n" + "".join(f"#define {part}\n" for part, wanted in parts.items() if wanted)
+    return head + _COLOUR_VERTEX, head + _COLOUR_FRAGMENT
