@@ -32,7 +32,7 @@ from twohands.synth.render.shaders import (
     colour_shaders,
 )
 from twohands.synth.render.surface import posed_things, surface, vertex_normals
-from twohands.synth.scene import PATTERNS, SceneSpec
+from twohands.synth.scene import PATTERNS, SceneSpec, moved
 from twohands.types import PinholeCamera, RenderedFrame
 
 NEAR_M, FAR_M = 0.01, 4.0
@@ -306,6 +306,12 @@ class RasterRenderer:
 
     def _write_occluders(self, scene: SceneSpec) -> None:
         starts, ends, radii = capsules(scene.body, scene.joints_m[scene.present])
+        self._pose["bone_count"].value = len(radii)
+        held = [thing.core for thing in scene.things if thing.core is not None]
+        if held:
+            axes = moved(scene.view, np.stack([axis for axis, _ in held])) * scene.scale
+            starts, ends = np.concatenate([starts, axes[:, 0]]), np.concatenate([ends, axes[:, 1]])
+            radii = np.concatenate([radii, [radius for _, radius in held]])
         along = ends - starts
         rows = np.zeros((2, MAX_CAPSULES, 4), np.float32)
         count = len(radii)

@@ -7,7 +7,8 @@ from typing import Final
 from twohands.synth.body import BONE_NAMES
 
 MAX_LIGHTS: Final = 4
-MAX_CAPSULES: Final = 40
+MAX_CAPSULES: Final = 42
+"""Twenty for each hand, and what each may hold."""
 
 POSED: Final = ("camera_position", "camera_normal", "irradiance", "shadow", "mottling")
 """What `POSE_VERTEX` captures, in this order: 3, 3, 3, 4 and 1 floats a vertex."""
@@ -50,9 +51,9 @@ POSE_VERTEX: Final = f"""
 #version 330
 uniform vec4 bones[{3 * (len(BONE_NAMES) + 1)}];  // three rows of every transform, the resting torso last
 uniform float sleeve_from, glove_until, thickness;
-uniform vec4 capsule_from[{MAX_CAPSULES}];  // the hands' bones: one end, and the radius
+uniform vec4 capsule_from[{MAX_CAPSULES}];  // the hands' bones, then what they hold: one end, and the radius
 uniform vec4 capsule_along[{MAX_CAPSULES}];  // to the other end, and 1 / length^2
-uniform int capsule_count;
+uniform int capsule_count, bone_count;
 uniform int light_count;
 uniform vec3 light_position[{MAX_LIGHTS}];
 uniform vec3 light_colour[{MAX_LIGHTS}];
@@ -108,7 +109,7 @@ void main() {{
         vec3 d = clamp(uw * capsule_along[i].w, 0.0, 1.0) * u - w;
         float d2 = dot(d, d), near = inversesqrt(d2);
         hidden += max(dot(n, d) * near, 0.0) * min(r2 * near * near, 1.0);
-        if (d2 > 1.8 * r2) {{  // not its own bone
+        if (i >= bone_count || d2 > 1.8 * r2) {{  // not its own bone
             float u2 = dot(u, u);
             lit *= vec4(passes(w, uw, l0, u, u2, radius), passes(w, uw, l1, u, u2, radius),
                         passes(w, uw, l2, u, u2, radius), passes(w, uw, l3, u, u2, radius));
