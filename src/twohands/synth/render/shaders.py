@@ -327,7 +327,7 @@ void main() {{
     bool sleeve = on_arm > sleeve_from, glove = on_arm < glove_until;
 #ifdef DETAIL
     vec4 mark = marked();
-    base = mix(base, min(base, albedo), 0.6 * mark.y);  // lines of a pale palm have the colour of the back
+    base = mix(base, min(base, albedo), 0.45 * mark.y);  // lines of a pale palm have the colour of the back
     base *= (1.0 - mark.x * vec3(0.20, 0.07, 0.03)) * (1.0 - mark.y * vec3(0.20, 0.32, 0.34))
           * (1.0 - mark.z * vec3(0.25, 0.40, 0.50)) * (1.0 - mark.w * vec3(0.60, 0.72, 0.78));
     vec3 smooth_n = n;
