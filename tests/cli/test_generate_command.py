@@ -42,6 +42,9 @@ def one_line(capsys: pytest.CaptureFixture[str]) -> str:
         (["--config.lights", 0], "lights must be 1 to 4"),
         (["--format", "webdataset", "--shard-size", 0], "shard size must be at least 1"),
         (["--backgrounds", "/nowhere"], "background folder /nowhere does not exist"),
+        (["--fabrics", "/nowhere", "--preset", "wild"], "fabric folder /nowhere does not exist"),
+        (["--fabrics", "/nowhere", "--preset", "wild", "--renderer", "blender"], "Blender draws no fabrics"),
+        (["--fabrics", "/nowhere"], "--fabrics needs people with sleeves or gloves"),
     ],
 )
 def test_nonsense_is_one_line_and_exit_code_2(tmp_path, capsys, arguments, message):

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from twohands.errors import InputError
-from twohands.synth.backgrounds import BackgroundFolder, MixedBackgrounds, ProceduralBackgrounds, augment, read_picture
+from twohands.synth.backgrounds import BackgroundFolder, MixedBackgrounds, ProceduralBackgrounds, augment
+from twohands.synth.pictures import read_picture
 from twohands.types import PinholeCamera
 
 

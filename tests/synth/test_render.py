@@ -261,6 +261,42 @@ def test_things_cover_hands_but_have_no_label(renderer):
     assert covered > 100
 
 
+def test_a_held_object_only_takes_light_from_hands(renderer):
+    """The same object with and without its shadow: no pixel gets brighter, the object itself stays, and hands that hold
+    something are darker somewhere."""
+    config = dataclasses.replace(WILD, width=480, height=270, objects=1.0, sleeves=0.0, gloves=0.0, webcam=0.0)
+    holding, darker = 0, 0
+    for index in range(20):
+        scene = sample_scene(config, 6, index)
+        if all(thing.core is None for thing in scene.things):
+            continue
+        holding += 1
+        floating = tuple(dataclasses.replace(thing, core=None) for thing in scene.things)
+        lit, shaded = renderer.render(dataclasses.replace(scene, things=floating)), renderer.render(scene)
+        np.testing.assert_array_equal(lit.part_labels, shaded.part_labels)
+        np.testing.assert_array_equal(lit.alpha, shaded.alpha)
+        change = shaded.rgb.astype(int) - lit.rgb
+        assert change.max() <= 2  # rounding, and edges where pixels mix
+        solid = (lit.part_labels == 0) & (lit.alpha == 255)
+        inner = cv2.erode(solid.astype(np.uint8), np.ones((3, 3))) > 0
+        assert not change[inner].any()
+        darker += (change.min(-1) < -8).any()
+    assert holding >= 5 and darker > 0.6 * holding
+
+
+def test_the_core_of_a_held_object_is_about_the_object():
+    config = dataclasses.replace(WILD, objects=1.0)
+    held = [thing for i in range(20) for thing in sample_scene(config, 6, i).things if thing.core is not None]
+    assert len(held) >= 5
+    for thing in held:
+        (start, end), radius = thing.core
+        np.testing.assert_allclose((start + end) / 2, thing.vertices.mean(0), atol=1e-3)
+        axis = (end - start) / np.linalg.norm(end - start)
+        along = (thing.vertices - (start + end) / 2) @ axis
+        beside = np.linalg.norm(thing.vertices - (start + end) / 2 - along[:, None] * axis, axis=1)
+        assert radius <= beside.max() * 1.01 and radius > 0.5 * beside.max()
+
+
 def test_amodal_masks_show_what_is_hidden(renderer):
     config = dataclasses.replace(WILD, width=480, height=270, together=1.0, drop_rate=0.0)
     hidden = 0

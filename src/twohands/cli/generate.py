@@ -52,6 +52,8 @@ class GenerateArgs:
     backgrounds: Path | None = None
     """Folder of background pictures, for dynamic sets also of videos, numbered frames and 360-degree panoramas;
     procedural ones if not given."""
+    fabrics: Path | None = None
+    """Folder of tileable pictures of cloth for sleeves and gloves (raster); plain and striped ones if not given."""
     format: Literal["ego3dhands", "webdataset"] = "ego3dhands"
     """ego3dhands: a folder per instance, as the official data; webdataset: tar shards."""
     shard_size: int = 1000
@@ -83,9 +85,12 @@ def run(args: GenerateArgs) -> int:
         raise InputError(f"--workers must be 0 (all cores) or more, got {args.workers}")
     if args.ray_address is not None and args.engine != "ray":
         raise InputError("--ray-address needs --engine ray")
-    if args.engine == "ray" and args.backgrounds is not None:  # its workers have other working directories
-        args = dataclasses.replace(args, backgrounds=args.backgrounds.absolute())
+    if args.engine == "ray":  # its workers have other working directories
+        folders = {"backgrounds": args.backgrounds, "fabrics": args.fabrics}
+        args = dataclasses.replace(args, **{name: path and path.absolute() for name, path in folders.items()})
     args = dataclasses.replace(args, config=configured(args))
+    if args.fabrics is not None and args.config.sleeves == args.config.gloves == 0:
+        raise InputError("--fabrics needs people with sleeves or gloves: take --preset wild, or set --config.sleeves")
     return {"static": _static, "dynamic": _dynamic, "frames": _frames}[args.kind](args)
 
 
@@ -129,7 +134,9 @@ def _static(args: GenerateArgs) -> int:
 
     if args.backgrounds is None:
         print("backgrounds: procedural; give photographs with --backgrounds FOLDER")
-    static_set = StaticSet(args.config, args.seed, args.count, args.backgrounds, args.split, args.renderer)
+    static_set = StaticSet(
+        args.config, args.seed, args.count, args.backgrounds, args.split, args.renderer, args.fabrics
+    )
     report(write(static_set, args, executor_of(args, static_set)), args, len(static_set))
     return 0
 
@@ -192,6 +199,7 @@ def _frames(args: GenerateArgs) -> int:
             args.count,
             workers=workers_of(args),
             renderer=args.renderer,
+            fabrics=args.fabrics,
             progress=progress,
         )
     print(f"{args.count} frames in {args.out}; train on them with twohands train STAGE --data {args.out}")
@@ -213,6 +221,7 @@ def _dynamic(args: GenerateArgs) -> int:
         args.backgrounds,
         args.split,
         args.renderer,
+        args.fabrics,
     )
     for path, reason in dynamic_set.clips.skipped:
         print(f"background skipped: {path.name}: {reason}")

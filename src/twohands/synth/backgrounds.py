@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
-import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
 from pathlib import Path
 from statistics import NormalDist
 from typing import Protocol
@@ -14,11 +11,9 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from twohands.errors import InputError
 from twohands.synth.panoramas import Surroundings, is_panorama, light_file, light_of, rays, turn, unreadable_light, view
+from twohands.synth.pictures import PictureFolder, read_picture
 from twohands.types import PinholeCamera
-
-IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,52 +58,22 @@ class ProceduralBackgrounds:
         return Background(procedural_picture(rng, camera.width, camera.height))
 
 
-class BackgroundFolder:
+class BackgroundFolder(PictureFolder[tuple[np.ndarray, np.ndarray | None]]):
     """Photographs of a folder and its subfolders, with random crop, flip and colour augmentation (paper 3.1).
 
     Panoramas (`panoramas.is_panorama`) are seen through the camera of the hands, turned anywhere, and bring their
     light.
-    A picture that cannot be read is skipped: the next one is taken in its place, and it is named in `unreadable`.
-
-    Attributes:
-        files: all pictures, sorted.
-        name: the folder's name, their number, and a checksum of their names and sizes.
-        unreadable: a line for every picture that was skipped so far.
 
     Args:
-        folder: holds .jpg, .png, .bmp or .webp files.
+        folder: see `PictureFolder`.
         keep: how many decoded pictures to keep in memory, 1.5 MB each, panoramas 6 MB.
 
     Raises:
-        InputError: the folder does not exist, cannot be read, or holds no readable picture.
+        InputError: see `PictureFolder`.
     """
 
     def __init__(self, folder: Path, keep: int = 1024) -> None:
-        if not folder.is_dir():
-            raise InputError(f"background folder {folder} does not exist")
-        if not os.access(folder, os.R_OK | os.X_OK):
-            raise InputError(f"background folder {folder} cannot be read: no permission")
-        found = (path for path in folder.rglob("*") if path.suffix.lower() in IMAGE_SUFFIXES and path.is_file())
-        self.files = tuple(sorted(found))
-        if not self.files:
-            raise InputError(f"no background picture ({', '.join(IMAGE_SUFFIXES)}) in {folder}")
-        self.folder, self.keep = folder, keep
-        self.unreadable: list[str] = []
-        if all(read_picture(path) is None for path in self.files):
-            raise InputError(f"none of the {len(self.files)} background pictures in {folder} can be read")
-        listing = "\n".join(
-            f"{path.relative_to(folder).as_posix()} {path.stat().st_size}{' with light' * light_file(path).is_file()}"
-            for path in self.files
-        )
-        digest = hashlib.sha256(listing.encode()).hexdigest()[:12]
-        self.name = f"{folder.name} ({len(self.files)} pictures, {digest})"
-
-    @cached_property
-    def _read(self) -> Callable[[Path], tuple[np.ndarray, np.ndarray | None] | None]:
-        return lru_cache(maxsize=self.keep)(_read_background)
-
-    def __getstate__(self) -> dict[str, object]:
-        return {key: value for key, value in self.__dict__.items() if key != "_read"}
+        super().__init__(folder, "background", _read_background, keep, _light_beside)
 
     def sample(self, rng: np.random.Generator, camera: PinholeCamera) -> Background:
         """A random background for a camera.
@@ -116,23 +81,12 @@ class BackgroundFolder:
         Raises:
             InputError: no picture can be read any more.
         """
-        first = int(rng.integers(len(self.files)))
-        for path in (*self.files[first:], *self.files[:first]):
-            read = self._read(path)
-            if read is None:
-                self._note(f"background {path.relative_to(self.folder).as_posix()} cannot be read")
-                continue
-            picture, light = read
-            if light is None:
-                return Background(augment(picture, rng, camera.width, camera.height))
-            if unreadable_light(path):
-                self._note(f"light of background {path.relative_to(self.folder).as_posix()} cannot be read")
-            return _panorama_view(picture, light, rng, camera)
-        raise InputError(f"background pictures of {self.name} cannot be read")
-
-    def _note(self, line: str) -> None:
-        if line not in self.unreadable:
-            self.unreadable.append(line)
+        path, (picture, light) = self.pick(rng)
+        if light is None:
+            return Background(augment(picture, rng, camera.width, camera.height))
+        if unreadable_light(path):
+            self.note(path, part="light of ")
+        return _panorama_view(picture, light, rng, camera)
 
 
 class MixedBackgrounds:
@@ -220,43 +174,16 @@ def _panorama_view(
     return Background(picture, look.surroundings(light, world_from_camera))
 
 
+def _light_beside(path: Path) -> str:
+    return " with light" if light_file(path).is_file() else ""
+
+
 def _read_background(path: Path) -> tuple[np.ndarray, np.ndarray | None] | None:
     """A picture, and the light from all directions where it is a panorama; None if it cannot be read."""
     picture = read_picture(path)
     if picture is None:
         return None
     return picture, light_of(picture, path) if is_panorama(*picture.shape[1::-1]) else None
-
-
-def read_picture(path: Path) -> np.ndarray | None:
-    """A background at most 960 pixels wide or high, a panorama at most 2048.
-
-    Returns:
-        (H, W, 3) uint8 RGB; None if the file is missing, cut off, or no picture.
-    """
-    try:
-        data = path.read_bytes()
-    except OSError:
-        return None
-    if not data or _is_cut_off(data):
-        return None
-    picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
-    if picture is None:
-        return None
-    scale = (2048 if is_panorama(*picture.shape[1::-1]) else 960) / max(picture.shape[:2])
-    if scale < 1:
-        picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB))
-
-
-def _is_cut_off(data: bytes) -> bool:
-    """Whether a JPEG or PNG ends early; the decoder would fill the rest with grey without a word.
-
-    A JPEG may hold a preview with an end of its own, and cameras append data: its last scan must be closed.
-    """
-    if data.startswith(b"\xff\xd8"):
-        return data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda")
-    return data.startswith(b"\x89PNG") and b"IEND\xaeB`\x82" not in data
 
 
 def _wash(rng: np.random.Generator, width: int, height: int) -> np.ndarray:

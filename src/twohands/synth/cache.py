@@ -25,7 +25,7 @@ from twohands.synth.config import SynthConfig
 from twohands.synth.executors import LocalProcesses
 from twohands.synth.manifest import claimed_folder, environment
 from twohands.synth.production import check_room
-from twohands.synth.render.choice import RendererName, renderer_version
+from twohands.synth.render.choice import RendererName, open_fabrics, renderer_version
 from twohands.synth.scene import instance_rng
 from twohands.synth.seeds import stream_seed
 from twohands.synth.stream import SyntheticStream, labelled
@@ -58,6 +58,7 @@ def build_cache(
     *,
     workers: int = 1,
     renderer: RendererName = "raster",
+    fabrics: Path | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
     """Renders `count` frames into `folder`; an interrupted build goes on where it stopped.
@@ -69,6 +70,7 @@ def build_cache(
         count: number of frames.
         workers: processes, each with its own renderer.
         renderer: who draws.
+        fabrics: folder of tileable pictures for sleeves and gloves; plain and striped ones if None.
         progress: called with (frames done, count) now and then.
 
     Raises:
@@ -80,7 +82,9 @@ def build_cache(
         raise InputError(f"count must be at least 1, got {count}")
     identity = {"format": FORMAT, "kind": "frames", "renderer": renderer, "seed": seed, "count": count}
     identity["config"] = asdict(config)
-    stream = SyntheticStream(config, stream_seed(seed, "frames"), count, renderer_name=renderer)
+    cloths = open_fabrics(fabrics, renderer)
+    identity["fabrics"] = cloths.name if cloths else None
+    stream = SyntheticStream(config, stream_seed(seed, "frames"), count, renderer_name=renderer, fabrics=cloths)
     layout = _layout(config, count)
     with claimed_folder(folder, identity, environment(renderer_version(renderer))):
         absent = {name: spec for name, spec in layout.items() if not (folder / f"{name}.npy").exists()}

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 
 from twohands.errors import InputError
-from twohands.synth.backgrounds import IMAGE_SUFFIXES, Look, procedural_picture
+from twohands.synth.backgrounds import Look, procedural_picture
 from twohands.synth.panoramas import (
     Surroundings,
     is_panorama,
@@ -30,6 +30,7 @@ from twohands.synth.panoramas import (
     unreadable_light,
     view,
 )
+from twohands.synth.pictures import IMAGE_SUFFIXES
 from twohands.types import PinholeCamera
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg")

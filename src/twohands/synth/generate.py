@@ -15,7 +15,7 @@ from twohands.synth.config import SynthConfig
 from twohands.synth.executors import Executor, LocalProcesses
 from twohands.synth.manifest import environment
 from twohands.synth.production import Layout, Made, Outcome, Plan, produce
-from twohands.synth.render.choice import RendererName, renderer_version
+from twohands.synth.render.choice import RendererName, open_fabrics, renderer_version
 from twohands.synth.seeds import Split, stream_seed
 from twohands.synth.stream import SyntheticStream
 from twohands.synth.writer import encode_instance
@@ -37,6 +37,7 @@ class StaticSet:
         backgrounds: folder of background pictures; procedural if None.
         split: part of the set; no two splits share a scene, whatever their seeds.
         renderer: who draws.
+        fabrics: folder of tileable pictures for sleeves and gloves; plain and striped ones if None.
     """
 
     config: SynthConfig
@@ -45,15 +46,18 @@ class StaticSet:
     backgrounds: Path | None = None
     split: Split = "train"
     renderer: RendererName = "raster"
+    fabrics: Path | None = None
 
     def stream(self) -> SyntheticStream:
         """The instances of the set.
 
         Raises:
-            InputError: the seed is negative, or the background folder is missing, unreadable or empty.
+            InputError: the seed is negative, a folder of pictures is missing, unreadable or empty, or the renderer
+                draws no fabrics.
         """
         seed = stream_seed(self.seed, "static", self.split)
-        return SyntheticStream(self.config, seed, self.count, self._backgrounds(), self.renderer)
+        fabrics = open_fabrics(self.fabrics, self.renderer)
+        return SyntheticStream(self.config, seed, self.count, self._backgrounds(), self.renderer, fabrics)
 
     def __len__(self) -> int:
         return self.count
@@ -64,12 +68,14 @@ class StaticSet:
 
     def identity(self) -> dict[str, Any]:
         """See `Production.identity`."""
+        stream = self.stream()
         return {
             "kind": "static",
             "split": self.split,
             "renderer": self.renderer,
             "seed": self.seed,
-            "backgrounds": self.stream().backgrounds.name,
+            "backgrounds": stream.backgrounds.name,
+            "fabrics": stream.fabrics.name if stream.fabrics else None,
             "config": json.loads(json.dumps(asdict(self.config))),
         }
 
@@ -125,4 +131,4 @@ def generate_static(
 
 def _make(stream: SyntheticStream, index: int) -> Made:
     frame = stream.frame(index)
-    return Made(encode_instance(frame, stream.picture(index, frame)), tuple(stream.backgrounds.unreadable))
+    return Made(encode_instance(frame, stream.picture(index, frame)), stream.unreadable)

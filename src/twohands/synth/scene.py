@@ -14,10 +14,13 @@ from twohands.skeleton import LEFT, RIGHT, ROOT
 from twohands.synth.body import BONES_PER_SIDE, Body, forward_kinematics, load_asset
 from twohands.synth.collision import hand_enters_itself, hands_collide
 from twohands.synth.config import SynthConfig
+from twohands.synth.fabrics import Fabric, FabricFolder
 from twohands.synth.pose import ArmAnatomy, HandAngles, rotation_about, unit
 from twohands.synth.things import Thing, fabric, sample_person, sample_things
 from twohands.types import PinholeCamera
 
+_FABRIC_STREAM = 1 << 48
+"""Offset of the seeds that draw fabrics, apart from those of instances."""
 MAX_TRIES = 400
 TRIES_PER_VIEW = 10
 """Attempts to pose a person before another camera: some narrow views show no hand of the box."""
@@ -81,6 +84,7 @@ class Clothes:
         sleeve_albedo, glove_albedo: (3,).
         pattern: (3,) strength, period in metres and direction (radians) of the sleeve's stripes.
         thickness_m: of the fabric.
+        fabric: whose pattern sleeves and gloves have; None for plain or striped ones.
     """
 
     sleeve_from: float
@@ -89,6 +93,7 @@ class Clothes:
     glove_albedo: np.ndarray
     pattern: np.ndarray
     thickness_m: float
+    fabric: Fabric | None = None
 
 
 BARE = Clothes(np.inf, -np.inf, np.zeros(3), np.zeros(3), np.array([0.0, 0.01, 0.0]), 0.0)
@@ -356,13 +361,24 @@ def sample_clothes(config: SynthConfig, rng: np.random.Generator) -> Clothes:
     )
 
 
-def sample_scene(config: SynthConfig, seed: int, index: int) -> SceneSpec:
+def woven(clothes: Clothes, fabrics: FabricFolder | None, rng: np.random.Generator) -> Clothes:
+    """The clothes, if there are any, made of one of the user's fabrics, if there are any."""
+    if fabrics is None or clothes is BARE:
+        return clothes
+    fabric = fabrics.sample(rng, clothes.sleeve_albedo)
+    return dataclasses.replace(
+        clothes, fabric=fabric, sleeve_albedo=fabric.albedo, glove_albedo=fabric.albedo, pattern=BARE.pattern
+    )
+
+
+def sample_scene(config: SynthConfig, seed: int, index: int, fabrics: FabricFolder | None = None) -> SceneSpec:
     """One random instance.
 
     Args:
         config: distributions.
         seed: of the whole set.
         index: of the instance; the same (config, seed, index) gives the same scene anywhere.
+        fabrics: for sleeves and gloves; plain and striped ones if None. Nothing else depends on them.
 
     Returns:
         The scene.
@@ -403,6 +419,7 @@ def sample_scene(config: SynthConfig, seed: int, index: int) -> SceneSpec:
     joints_m = np.where(present[:, None, None], moved(view, joints) * scale, np.nan)
     lighting = sample_lighting(config, rng)
     skin, clothes = sample_skin(config, rng), sample_clothes(config, rng)
+    clothes = woven(clothes, fabrics, instance_rng(seed, _FABRIC_STREAM + index))
     bare = clothes.glove_until, clothes.sleeve_from
     transforms = forward_kinematics(body, rotations.reshape(-1, 3, 3))
     things = sample_things(config, body, transforms, joints, present, bare, rng)

@@ -22,12 +22,13 @@ from twohands.synth.body import BONES_PER_SIDE, Body, forward_kinematics, load_a
 from twohands.synth.clips import Clip, ClipAssignment, ClipSource, assign_clips, open_clip
 from twohands.synth.compositing import compose_frame
 from twohands.synth.config import SynthConfig
+from twohands.synth.fabrics import FabricFolder
 from twohands.synth.lighting import lit_by, lit_inside
 from twohands.synth.manifest import environment
 from twohands.synth.motion import Arm, HandMotion, MotionConfig, in_picture, plan_motion
 from twohands.synth.pose import ArmAnatomy
 from twohands.synth.production import Made
-from twohands.synth.render.choice import Renderer, RendererName, open_renderer, renderer_version
+from twohands.synth.render.choice import Renderer, RendererName, open_fabrics, open_renderer, renderer_version
 from twohands.synth.scene import (
     SceneSpec,
     moved,
@@ -39,6 +40,7 @@ from twohands.synth.scene import (
     sample_skin_detail,
     sees_the_person,
     viewed,
+    woven,
 )
 from twohands.synth.seeds import Split, stream_seed
 from twohands.synth.sensor import expose, sample_sensor
@@ -47,7 +49,7 @@ from twohands.synth.writer import encode_instance
 from twohands.types import RenderedFrame
 
 _MOTION_STREAM, _LOOK_STREAM, _THINGS_STREAM, _CLIP_STREAM = 1 << 42, 1 << 43, 1 << 44, 1 << 45
-_CAMERA_STREAM, _NOISE_STREAM = 1 << 46, 1 << 47
+_CAMERA_STREAM, _NOISE_STREAM, _FABRIC_STREAM = 1 << 46, 1 << 47, 1 << 48
 """Offsets of the seeds of a sequence's parts, apart from each other and from those of single instances."""
 BYTES_PER_PIXEL = 1.4
 """All files of a frame together, on the average."""
@@ -67,6 +69,7 @@ class SequenceSet:
         backgrounds: folder of videos, frames, panoramas and stills; procedural rooms if None.
         split: part of the set; no two splits share a sequence, whatever their seeds.
         renderer: who draws.
+        fabrics: folder of tileable pictures for sleeves and gloves; plain and striped ones if None.
     """
 
     config: SynthConfig = field(default_factory=SynthConfig)
@@ -78,6 +81,7 @@ class SequenceSet:
     backgrounds: Path | None = None
     split: Split = "train"
     renderer: RendererName = "raster"
+    fabrics: Path | None = None
 
     def __post_init__(self) -> None:
         if self.sequences < 1 or self.frames < 1:
@@ -93,6 +97,15 @@ class SequenceSet:
             InputError: the folder is missing or holds nothing that can be read.
         """
         return assign_clips(self.backgrounds, self.scene_seed, self.sequences)
+
+    @cached_property
+    def cloths(self) -> FabricFolder | None:
+        """The user's fabrics.
+
+        Raises:
+            InputError: their folder is missing, unreadable or empty, or the renderer draws none.
+        """
+        return open_fabrics(self.fabrics, self.renderer)
 
     @property
     def scene_seed(self) -> int:
@@ -117,6 +130,7 @@ class SequenceSet:
             "frames": self.frames,
             "fps": self.fps,
             "backgrounds": self.clips.name,
+            "fabrics": self.cloths.name if self.cloths else None,
             "config": json.loads(json.dumps(asdict(self.config))),
             "motion": json.loads(json.dumps(asdict(self.motion))),
         }
@@ -151,7 +165,8 @@ class Sequence:
         rng = _rng(sequence_set.scene_seed, _LOOK_STREAM, index)
         self.shape = sample_shape(config, rng)
         self.skin, self.lighting = sample_skin(config, rng), sample_lighting(config, rng)
-        self.clothes = sample_clothes(config, rng)
+        own = _rng(sequence_set.scene_seed, _FABRIC_STREAM, index)
+        self.clothes = woven(sample_clothes(config, rng), sequence_set.cloths, own)
         self.camera, self.view = sample_camera(config, rng)
         self.lighting = replace(self.lighting, positions=moved(self.view, self.lighting.positions))
         self.skin = replace(self.skin, detail=sample_skin_detail(config, rng))
@@ -283,4 +298,5 @@ def _rng(seed: int, stream: int, index: int) -> np.random.Generator:
 
 def _make(renderer: SequenceRenderer, index: int) -> Made:
     rendered, image = renderer.frame(*divmod(index, renderer.set.frames))
-    return Made(encode_instance(rendered, image))
+    cloths = renderer.set.cloths
+    return Made(encode_instance(rendered, image), tuple(cloths.unreadable) if cloths else ())

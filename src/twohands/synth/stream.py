@@ -12,6 +12,7 @@ from twohands.geometry.camera import project
 from twohands.synth.backgrounds import Background, Backgrounds, ProceduralBackgrounds
 from twohands.synth.compositing import compose_frame
 from twohands.synth.config import SynthConfig
+from twohands.synth.fabrics import FabricFolder
 from twohands.synth.lighting import lit_by, lit_inside
 from twohands.synth.render.choice import Renderer, RendererName, open_renderer
 from twohands.synth.scene import instance_rng, sample_scene
@@ -31,6 +32,7 @@ class SyntheticStream:
         size: number of instances.
         backgrounds: source of backgrounds; procedural if None.
         renderer_name: who draws.
+        fabrics: for sleeves and gloves.
 
     Raises (on the first item):
         MissingExtraError, RendererError: no renderer on this machine.
@@ -43,16 +45,23 @@ class SyntheticStream:
         size: int,
         backgrounds: Backgrounds | None = None,
         renderer_name: RendererName = "raster",
+        fabrics: FabricFolder | None = None,
     ) -> None:
         self.config, self.seed, self.size = config, seed, size
         self.renderer_name: RendererName = renderer_name
         self.backgrounds = backgrounds or ProceduralBackgrounds()
+        self.fabrics = fabrics
         self.name = f"synthetic seed {seed}"
 
     @cached_property
     def renderer(self) -> Renderer:
         """One per process, made when first needed."""
         return open_renderer(self.renderer_name, self.config.width, self.config.height)
+
+    @property
+    def unreadable(self) -> tuple[str, ...]:
+        """A line for every picture of the user's that was skipped so far."""
+        return (*self.backgrounds.unreadable, *(self.fabrics.unreadable if self.fabrics else ()))
 
     def __getstate__(self) -> dict[str, object]:
         return {key: value for key, value in self.__dict__.items() if key not in ("renderer", "_background")}
@@ -64,7 +73,7 @@ class SyntheticStream:
         """Instance `index` before compositing."""
         if not 0 <= index < self.size:
             raise IndexError(f"instance {index} of {self.size}")
-        scene = sample_scene(self.config, self.seed, index)
+        scene = sample_scene(self.config, self.seed, index, self.fabrics)
         if instance_rng(self.seed, _LIGHT_STREAM + index).random() < self.config.background_light:
             behind = self.background(index, scene.camera)
             if behind.surroundings is None:

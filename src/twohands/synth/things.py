@@ -5,7 +5,7 @@ They cover parts of the hands, as in life; a held object never enters the hand t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -37,6 +37,8 @@ class Thing:
         pattern_at: (V,) place along the pattern, 0..1.
         roughness: 0.1 (polished) to 0.9 (cloth).
         label: part that wears it, or NO_LABEL.
+        core: ends (2, 3) of the axis and radius of a capsule that casts about the same shadow; None for what lies close
+            to the skin, and for trunk and head, which arms grow out of.
     """
 
     vertices: np.ndarray
@@ -48,6 +50,7 @@ class Thing:
     pattern_at: np.ndarray
     roughness: float
     label: int
+    core: tuple[np.ndarray, float] | None = None
 
 
 def superquadric(
@@ -307,7 +310,10 @@ def _held(body: Body, joints: np.ndarray, present: np.ndarray, side: int, rng: n
     frame = np.stack([np.cos(turn) * x + np.sin(turn) * y, np.cos(turn) * y - np.sin(turn) * x, axis], axis=1)
     placed = (solid[0] @ frame.T + centres[best], solid[1] @ frame.T, solid[2], solid[3])
     stripes = float(rng.integers(2, 9)) if rng.random() < 0.35 else 0.0
-    return _thing(placed, fabric(rng), fabric(rng), stripes, rng.uniform(0.15, 0.8), NO_LABEL)
+    thing = _thing(placed, fabric(rng), fabric(rng), stripes, rng.uniform(0.15, 0.8), NO_LABEL)
+    thickness = float(np.sqrt(half[0] * half[1]))
+    reach = axis * max(half_length - thickness, 1e-3)
+    return replace(thing, core=(np.stack([centres[best] - reach, centres[best] + reach]), thickness))
 
 
 def _thing(

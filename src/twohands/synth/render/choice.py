@@ -1,11 +1,14 @@
-"""Which renderer draws a set."""
+"""Which renderer draws a set, and with which of the user's fabrics."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Literal, Protocol
 
 import numpy as np
 
+from twohands.errors import InputError
+from twohands.synth.fabrics import FabricFolder
 from twohands.synth.render import blender, raster
 from twohands.synth.scene import SceneSpec
 from twohands.types import RenderedFrame
@@ -33,6 +36,19 @@ def open_renderer(name: RendererName, width: int, height: int) -> Renderer:
         MissingExtraError, RendererError: it does not run here.
     """
     return blender.BlenderRenderer(width, height) if name == "blender" else raster.RasterRenderer(width, height)
+
+
+def open_fabrics(folder: Path | None, name: RendererName) -> FabricFolder | None:
+    """The user's fabrics, if any, for the renderer of that name.
+
+    Raises:
+        InputError: the folder is missing, unreadable or empty, or the renderer draws none.
+    """
+    if folder is None:
+        return None
+    if name == "blender":
+        raise InputError("Blender draws no fabrics: leave --fabrics out, or take --renderer raster")
+    return FabricFolder(folder)
 
 
 def renderer_version(name: RendererName) -> str:

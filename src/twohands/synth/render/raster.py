@@ -17,13 +17,10 @@ from twohands.skeleton import N_PART_LABELS
 from twohands.synth.body import BONE_NAMES, load_asset
 from twohands.synth.collision import capsules
 from twohands.synth.compositing import partly_covered
+from twohands.synth.fabrics import Tile
 from twohands.synth.render.chart import chart
-from twohands.synth.render.markings import on_painting, paint_markings
+from twohands.synth.render.markings import HIGH, LOW, on_painting, paint_markings
 from twohands.synth.render.shaders import (
-    COLOUR_FRAGMENT,
-    COLOUR_VERTEX,
-    DETAILED_FRAGMENT,
-    DETAILED_VERTEX,
     LABEL_FRAGMENT,
     LABEL_VERTEX,
     MAX_CAPSULES,
@@ -32,12 +29,16 @@ from twohands.synth.render.shaders import (
     POSED,
     THING_FRAGMENT,
     THING_VERTEX,
+    colour_shaders,
 )
 from twohands.synth.render.surface import posed_things, surface, vertex_normals
-from twohands.synth.scene import PATTERNS, SceneSpec
+from twohands.synth.scene import PATTERNS, SceneSpec, moved
 from twohands.types import PinholeCamera, RenderedFrame
 
 NEAR_M, FAR_M = 0.01, 4.0
+MARKINGS_UNIT, TILE_UNIT = 0, 1
+"""Of textures."""
+KEPT_TILES = 64
 NOWHERE = 1e6
 """Stands for infinity in shaders."""
 
@@ -103,10 +104,9 @@ class RasterRenderer:
         look_buffer, index_buffer = _vertex_buffer(ctx, looks), ctx.buffer(attributes.faces.tobytes())
         self._pose = ctx.program(vertex_shader=POSE_VERTEX, varyings=POSED)
         self._label = ctx.program(vertex_shader=LABEL_VERTEX, fragment_shader=LABEL_FRAGMENT)
-        # Smooth skin, and skin with veins and creases, which costs more.
-        self._smooth = ctx.program(vertex_shader=COLOUR_VERTEX, fragment_shader=COLOUR_FRAGMENT)
-        self._detailed = ctx.program(vertex_shader=DETAILED_VERTEX, fragment_shader=DETAILED_FRAGMENT)
+        self._colour = lru_cache(maxsize=None)(self._colour_pass)
         self._markings = lru_cache(maxsize=PATTERNS)(self._paint)
+        self._tile = lru_cache(maxsize=KEPT_TILES)(self._upload_tile)
         names = ("bones_a", "bones_b", "weights_a", "weights_b", "resting", "along")
         self._rest_array = ctx.vertex_array(
             self._pose,
@@ -120,15 +120,14 @@ class RasterRenderer:
             [(self._posed, "3f 44x", "camera_position"), (look_buffer, "1f 24x", "part")],
             index_buffer,
         )
-        colour_rows = [
+        self._colour_rows = [
             (self._posed, "3f 3f 3f 4f 1f", *POSED),
             (self._shape, "3f 12x", "position"),
             (look_buffer, "4x 2f 3f 1f", "look", "nail", "along"),
         ]
         painted_at = np.column_stack([on_painting(chart().vertices[:, :2]), chart().vertices[:, 2]])
-        on_chart = (_vertex_buffer(ctx, [painted_at]), "3f", "chart")
-        self._smooth_array = ctx.vertex_array(self._smooth, colour_rows, index_buffer)
-        self._detailed_array = ctx.vertex_array(self._detailed, [*colour_rows, on_chart], index_buffer)
+        self._chart_rows = (_vertex_buffer(ctx, [painted_at]), "3f", "chart")
+        self._faces = index_buffer
 
         self._thing_rows, self._thing_faces = ctx.buffer(reserve=44), ctx.buffer(reserve=12)
         self._thing = ctx.program(vertex_shader=THING_VERTEX, fragment_shader=THING_FRAGMENT)
@@ -170,9 +169,7 @@ class RasterRenderer:
         self._upload_shape(scene)
         projection = _projection(scene.camera)
         self._pose["bones"].write(_palette(scene))
-        colour, colour_array = self._smooth, self._smooth_array
-        if scene.skin.detail is not None:
-            colour, colour_array = self._detailed, self._detailed_array
+        colour, colour_array = self._colour(scene.skin.detail is not None, scene.clothes.fabric is not None)
         for program in (colour, self._label, self._thing, self._thing_label):
             program["projection"].write(projection)
         self._write_look(scene, colour)
@@ -233,6 +230,16 @@ class RasterRenderer:
         self._shape.write(np.ascontiguousarray(data, np.float32).tobytes())
         self._shape_key = key
 
+    def _colour_pass(self, detailed: bool, woven: bool) -> tuple[Any, Any]:
+        """The program that draws arms in colour, and its vertices; what a scene lacks costs nothing."""
+        vertex, fragment = colour_shaders(detailed=detailed, woven=woven)
+        program = self.ctx.program(vertex_shader=vertex, fragment_shader=fragment)
+        rows = [*self._colour_rows, self._chart_rows] if detailed or woven else self._colour_rows
+        for name, unit in (("markings", MARKINGS_UNIT), ("tile", TILE_UNIT)):
+            if name in program:
+                program[name].value = unit
+        return program, self.ctx.vertex_array(program, rows, self._faces)
+
     def _paint(self, pattern: int) -> Any:
         """The texture of veins and creases with this number."""
         painted = paint_markings(pattern)
@@ -241,6 +248,14 @@ class RasterRenderer:
         texture.build_mipmaps()
         texture.filter = (self.ctx.LINEAR_MIPMAP_NEAREST, self.ctx.LINEAR)
         texture.repeat_x = texture.repeat_y = False  # beyond the border: nothing
+        return texture
+
+    def _upload_tile(self, tile: Tile) -> Any:
+        """The texture of a fabric."""
+        height, width = tile.picture.shape[:2]
+        texture = self.ctx.texture((width, height), 3, tile.picture.tobytes(), alignment=1)
+        texture.build_mipmaps()
+        texture.filter = (self.ctx.LINEAR_MIPMAP_NEAREST, self.ctx.LINEAR)
         return texture
 
     def _write_look(self, scene: SceneSpec, colour: Any) -> None:
@@ -272,7 +287,15 @@ class RasterRenderer:
         if skin.detail is not None:
             detail = skin.detail
             colour["detail"].value = detail.veins, detail.creases, detail.freckles, detail.moles
-            self._markings(detail.pattern).use()
+            self._markings(detail.pattern).use(MARKINGS_UNIT)
+        fabric = clothes.fabric
+        if fabric is not None:
+            height, width = fabric.tile.picture.shape[:2]
+            c, s = np.cos(fabric.turn), np.sin(fabric.turn)
+            weave = np.array([[c, -s], [s * width / height, c * width / height]]) / fabric.period_m * (HIGH - LOW)
+            colour["weave"].write(np.ascontiguousarray(weave.T, np.float32).tobytes())
+            colour["mean"].value = tuple(fabric.tile.mean)
+            self._tile(fabric.tile).use(TILE_UNIT)
 
     def _write_things(self, scene: SceneSpec) -> int:
         """Uploads the things; returns the number of their triangles' corners."""
@@ -288,6 +311,12 @@ class RasterRenderer:
 
     def _write_occluders(self, scene: SceneSpec) -> None:
         starts, ends, radii = capsules(scene.body, scene.joints_m[scene.present])
+        self._pose["bone_count"].value = len(radii)
+        held = [thing.core for thing in scene.things if thing.core is not None]
+        if held:
+            axes = moved(scene.view, np.stack([axis for axis, _ in held])) * scene.scale
+            starts, ends = np.concatenate([starts, axes[:, 0]]), np.concatenate([ends, axes[:, 1]])
+            radii = np.concatenate([radii, [radius for _, radius in held]])
         along = ends - starts
         rows = np.zeros((2, MAX_CAPSULES, 4), np.float32)
         count = len(radii)

@@ -7,7 +7,8 @@ from typing import Final
 from twohands.synth.body import BONE_NAMES
 
 MAX_LIGHTS: Final = 4
-MAX_CAPSULES: Final = 40
+MAX_CAPSULES: Final = 42
+"""Twenty for each hand, and what each may hold."""
 
 POSED: Final = ("camera_position", "camera_normal", "irradiance", "shadow", "mottling")
 """What `POSE_VERTEX` captures, in this order: 3, 3, 3, 4 and 1 floats a vertex."""
@@ -59,9 +60,9 @@ POSE_VERTEX: Final = f"""
 #version 330
 uniform vec4 bones[{3 * (len(BONE_NAMES) + 1)}];  // three rows of every transform, the resting torso last
 uniform float sleeve_from, glove_until, thickness;
-uniform vec4 capsule_from[{MAX_CAPSULES}];  // the hands' bones: one end, and the radius
+uniform vec4 capsule_from[{MAX_CAPSULES}];  // the hands' bones, then what they hold: one end, and the radius
 uniform vec4 capsule_along[{MAX_CAPSULES}];  // to the other end, and 1 / length^2
-uniform int capsule_count;
+uniform int capsule_count, bone_count;
 uniform int light_count;
 uniform vec3 light_position[{MAX_LIGHTS}];
 uniform vec3 light_colour[{MAX_LIGHTS}];
@@ -117,7 +118,7 @@ void main() {{
         vec3 d = clamp(uw * capsule_along[i].w, 0.0, 1.0) * u - w;
         float d2 = dot(d, d), near = inversesqrt(d2);
         hidden += max(dot(n, d) * near, 0.0) * min(r2 * near * near, 1.0);
-        if (d2 > 1.8 * r2) {{  // not its own bone
+        if (i >= bone_count || d2 > 1.8 * r2) {{  // not its own bone
             float u2 = dot(u, u);
             lit *= vec4(passes(w, uw, l0, u, u2, radius), passes(w, uw, l1, u, u2, radius),
                         passes(w, uw, l2, u, u2, radius), passes(w, uw, l3, u, u2, radius));
@@ -189,13 +190,13 @@ out vec2 skin;
 out vec3 nail_position;
 out float on_arm;
 out float blotch;
-#ifdef DETAIL
+#ifdef CHART
 in vec3 chart;
 out vec3 on_chart;
 #endif
 
 void main() {
-#ifdef DETAIL
+#ifdef CHART
     on_chart = chart;
 #endif
     point = camera_position;
@@ -267,7 +268,6 @@ void main() {{
 _DETAIL: Final = """
 uniform sampler2DArray markings;
 uniform vec4 detail;  // strength of veins, creases, freckles, moles
-in vec3 on_chart;  // place on the markings, 0..1, and how squarely the skin faces its sheet
 
 // The normal of a surface raised by `height` metres. Source: Mikkelsen 2010, bump mapping unparametrized surfaces.
 vec3 raised(vec3 n, float height) {
@@ -304,8 +304,16 @@ out vec4 colour;
 
 {_GRAIN}
 {_TONE}
+#ifdef CHART
+in vec3 on_chart;  // place on the markings, 0..1, and how squarely the skin faces its sheet
+#endif
 #ifdef DETAIL
 {_DETAIL}
+#endif
+#ifdef FABRIC
+uniform sampler2D tile;
+uniform mat2 weave;  // from the place on the markings to that on the tile, once round at 1
+uniform vec3 mean;  // colour of the tile
 #endif
 
 void main() {{
@@ -328,7 +336,7 @@ void main() {{
     bool sleeve = on_arm > sleeve_from, glove = on_arm < glove_until;
 #ifdef DETAIL
     vec4 mark = marked();
-    base = mix(base, min(base, albedo), 0.6 * mark.y);  // lines of a pale palm have the colour of the back
+    base = mix(base, min(base, albedo), 0.45 * mark.y);  // lines of a pale palm have the colour of the back
     base *= (1.0 - mark.x * vec3(0.20, 0.07, 0.03)) * (1.0 - mark.y * vec3(0.20, 0.32, 0.34))
           * (1.0 - mark.z * vec3(0.25, 0.40, 0.50)) * (1.0 - mark.w * vec3(0.60, 0.72, 0.78));
     vec3 smooth_n = n;
@@ -339,7 +347,12 @@ void main() {{
         float across = rest_position.x * cos(pattern.z) + rest_position.y * sin(pattern.z);
         float stripe = sin(6.2831853 / pattern.y * across);
         base = sleeve ? sleeve_albedo * (1.0 - pattern.x * smoothstep(-0.1, 0.1, stripe)) : glove_albedo;
+#ifdef FABRIC
+        vec3 thread = texture(tile, weave * on_chart.xy).rgb;
+        base *= thread * thread / mean;
+#else
         base *= 1.0 + 0.24 * grain + 0.25 * blotch;
+#endif
         if (sleeve) base *= 0.72 + 0.28 * smoothstep(0.0, 0.012, on_arm - sleeve_from);  // the hem
         gloss = 0.85;
     }}
@@ -358,8 +371,9 @@ void main() {{
 }}
 """
 
-_PLAIN, _DETAILED = "#version 330\n", "#version 330\n#define DETAIL\n"
-COLOUR_VERTEX: Final = _PLAIN + _COLOUR_VERTEX
-COLOUR_FRAGMENT: Final = _PLAIN + _COLOUR_FRAGMENT
-DETAILED_VERTEX: Final = _DETAILED + _COLOUR_VERTEX
-DETAILED_FRAGMENT: Final = _DETAILED + _COLOUR_FRAGMENT
+
+def colour_shaders(*, detailed: bool, woven: bool) -> tuple[str, str]:
+    """Vertex and fragment shader of the picture, with veins and creases or without, with a fabric or without."""
+    parts = {"DETAIL": detailed, "FABRIC": woven, "CHART": detailed or woven}
+    head = "#version 330\n" + "".join(f"#define {part}\n" for part, wanted in parts.items() if wanted)
+    return head + _COLOUR_VERTEX, head + _COLOUR_FRAGMENT
