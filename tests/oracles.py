@@ -13,9 +13,9 @@ from twohands.geometry.canonical import canonical_from_camera
 from twohands.geometry.heatmaps import encode_energy, encode_heatmaps
 from twohands.geometry.segmentation import network_input
 from twohands.inference.engine import Networks
-from twohands.inference.estimator import HandEstimator, StageTruth
+from twohands.inference.estimator import HandEstimator, StageTruth, joint_boxes
 from twohands.inference.weights import WeightsCard
-from twohands.types import HandSample
+from twohands.types import HandCrop, HandSample
 
 
 def drawn_hands(seed: int, **options) -> HandSample:
@@ -83,6 +83,7 @@ class Oracle:
         self.canonical = canonical_from_camera(sample.joints_m).joints
         self.calls: list[str] = []
         self.maps = np.zeros((0, 21, 32, 32))
+        self.crops: list[HandCrop] = []
         self.estimator = HandEstimator(Networks(self.hand_seg_net, self.pose_net_2d, self.pose_net_3d), card)
 
     def hand_seg_net(self, batch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -99,12 +100,16 @@ class Oracle:
     def pose_net_2d(self, batch: np.ndarray) -> np.ndarray:
         self.calls.append("pose_net_2d")
         estimator = HandEstimator(Networks(self.hand_seg_net, unused_network, unused_network), self.card)
-        masks, boxes = estimator.segment(self.sample.image)
+        image, sides = self.sample.image, [int(side) for side in np.flatnonzero(self.sample.present)]
+        masks, boxes = estimator.segment(image)
         self.calls.pop()
-        crops = [
-            estimator.crop(self.sample.image, masks, boxes.boxes_px[side], side, self.sample.camera)
-            for side in np.flatnonzero(self.sample.present)
-        ]
+        boxes_px = boxes.boxes_px[sides]
+        if self.calls[-2:-1] == ["pose_net_2d"]:  # the second look, into the boxes of the joints found by the first
+            joints_px, _ = estimator.read_out(self.maps, self.crops)
+            boxes_px = joint_boxes(joints_px, image.shape[:2], boxes_px)
+        cut = zip(boxes_px, sides, strict=True)
+        crops = [estimator.crop(image, masks, box_px, side, self.sample.camera) for box_px, side in cut]
+        self.crops = crops
         np.testing.assert_array_equal(batch, network_input(np.stack([crop.image for crop in crops])))
         maps = []
         for crop in crops:

@@ -9,7 +9,7 @@ from tests.oracles import UNUSED, Oracle, drawn_hands, full_truth, hand_masks, m
 from twohands.errors import InputError
 from twohands.geometry.canonical import canonical_from_camera
 from twohands.inference.engine import Networks
-from twohands.inference.estimator import HandEstimator, StageTruth
+from twohands.inference.estimator import HandEstimator, StageTruth, joint_boxes
 from twohands.skeleton import LEFT, RIGHT
 from twohands.types import PinholeCamera
 
@@ -25,7 +25,7 @@ def test_true_maps_give_true_metres(crop_kind, decode):
         sample = drawn_hands(seed)
         oracle = Oracle(sample, make_card(crop_kind=crop_kind, heatmap_decode=decode), z_heatmaps=decode == "subpixel")
         pose = oracle.estimator.estimate(sample.image, sample.camera, HAND_LENGTH_M)
-        assert oracle.calls == ["hand_seg_net", "pose_net_2d", "pose_net_3d"]
+        assert oracle.calls == ["hand_seg_net", "pose_net_2d", "pose_net_2d", "pose_net_3d"]
         for side, hand in enumerate(pose.hands):
             assert hand.present and hand.valid and hand.score > 0.95
             true_range = np.linalg.norm(sample.joints_m[side, 9])
@@ -54,7 +54,7 @@ def test_truth_for_every_stage_gives_exact_metres_and_runs_no_network():
     [
         (("masks", "boxes_px"), ["pose_net_2d", "pose_net_3d"]),
         (("boxes_px",), ["hand_seg_net", "pose_net_2d", "pose_net_3d"]),
-        (("canonical",), ["hand_seg_net", "pose_net_2d"]),
+        (("canonical",), ["hand_seg_net", "pose_net_2d", "pose_net_2d"]),
         (("heatmaps", "canonical"), ["hand_seg_net"]),
         (("masks", "boxes_px", "heatmaps"), ["pose_net_3d"]),
     ],
@@ -116,6 +116,16 @@ def test_truth_can_deny_a_hand_that_has_a_box():
     truth = dataclasses.replace(full_truth(sample), present=np.array([False, True]))
     pose = HandEstimator(UNUSED, make_card()).estimate(sample.image, sample.camera, HAND_LENGTH_M, truth)
     assert [hand.present for hand in pose.hands] == [False, True]
+
+
+def test_small_or_outlying_joints_keep_the_box_of_before():
+    before = np.array([[10.0, 10, 60, 60], [20, 20, 70, 80], [5, 5, 50, 50]])
+    joints_px = np.full((3, 21, 2), 30.0)
+    joints_px[0, 4], joints_px[0, 8] = (25, -40), (90, 55)  # clipped to the picture
+    joints_px[1, 4] = (37.9, 60)  # 7.9 pixels wide
+    joints_px[2] += 200  # all outside
+    boxes = joint_boxes(joints_px, (96, 80), before)
+    np.testing.assert_array_equal(boxes, [[25, 0, 80, 55], before[1], before[2]])
 
 
 def test_true_presence_overrules_a_low_score_but_the_box_is_still_estimated():

@@ -125,8 +125,10 @@ def test_a_weights_folder_tracks(tiny):
     estimator = HandEstimator.from_preset(tiny)
     image = np.full((96, 160, 3), 90, np.uint8)
     pose = estimator.estimate(image, PinholeCamera.from_fov(60, 160, 96), 0.09)
-    np.testing.assert_allclose(pose.left.box_px, [20, 40, 60, 80], atol=2)
-    np.testing.assert_allclose(pose.right.box_px, [100, 40, 140, 80], atol=2)
+    _, boxes = estimator.segment(image)
+    np.testing.assert_allclose(boxes.boxes_px, [[20, 40, 60, 80], [100, 40, 140, 80]], atol=2)
+    for hand in pose.hands:  # the result's box is that of its joints
+        np.testing.assert_allclose(hand.box_px, [*hand.joints_px.min(axis=0), *hand.joints_px.max(axis=0)])
     assert pose.left.valid and pose.right.valid
     # One network answer for both: the right hand is the left one's mirror image.
     np.testing.assert_allclose(pose.right.canonical, pose.left.canonical * [-1, 1, 1], atol=1e-6)
