@@ -25,7 +25,7 @@ def hand_made_data(monkeypatch):
 
 def test_arguments_reach_the_run(tmp_path):
     args = train.TrainArgs(
-        "pose_net_2d", tmp_path, data="d", max_minutes=2, iterations=5, batch=3, seed=7, workers=0, threads=1,
+        tmp_path, "pose_net_2d", data="d", max_minutes=2, iterations=5, batch=3, seed=7, workers=0, threads=1,
         set=("optim.learning_rate=5e-4",), segmentation=tmp_path / "seg.onnx",
     )  # fmt: skip
     config = train.resolve(args)
@@ -33,7 +33,7 @@ def test_arguments_reach_the_run(tmp_path):
     assert (config.max_minutes, config.iterations, config.batch_images, config.seed, config.threads) == (2, 5, 3, 7, 1)
     assert (config.data.source, config.data.workers, config.optim.learning_rate) == ("d", 0, 5e-4)
     assert config.data.segmentation == str(tmp_path / "seg.onnx")
-    paper = train.resolve(train.TrainArgs("pose_net_2d", tmp_path, recipe="paper"))
+    paper = train.resolve(train.TrainArgs(tmp_path, "pose_net_2d", recipe="paper"))
     assert paper.networks.pose_net_2d.variant == "cpm9"
 
 
