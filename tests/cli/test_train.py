@@ -76,7 +76,7 @@ def test_resuming_as_another_stage_is_refused(hand_made_data, tmp_path):
     words = ["train", "hand_seg_net", "--out", str(tmp_path / "run"), "--data", "x", "--workers", "0", "--batch", "2"]
     assert main([*words, "--iterations", "1", "--max-minutes", "0", "--set", *SETTINGS]) == 0
     with pytest.raises(InputError, match="a run of stage hand_seg_net, not pose_net_2d"):
-        train.resolve(train.TrainArgs("pose_net_2d", tmp_path / "run", resume=True))
+        train.resolve(train.TrainArgs(tmp_path / "run", "pose_net_2d", resume=True))
 
 
 def test_export_refuses_a_full_folder_and_missing_weights(tmp_path):
