@@ -25,7 +25,7 @@ def hand_made_data(monkeypatch):
 
 def test_arguments_reach_the_run(tmp_path):
     args = train.TrainArgs(
-        "pose_net_2d", tmp_path, data="d", max_minutes=2, iterations=5, batch=3, seed=7, workers=0, threads=1,
+        tmp_path, "pose_net_2d", data="d", max_minutes=2, iterations=5, batch=3, seed=7, workers=0, threads=1,
         set=("optim.learning_rate=5e-4",), segmentation=tmp_path / "seg.onnx",
     )  # fmt: skip
     config = train.resolve(args)
@@ -33,7 +33,7 @@ def test_arguments_reach_the_run(tmp_path):
     assert (config.max_minutes, config.iterations, config.batch_images, config.seed, config.threads) == (2, 5, 3, 7, 1)
     assert (config.data.source, config.data.workers, config.optim.learning_rate) == ("d", 0, 5e-4)
     assert config.data.segmentation == str(tmp_path / "seg.onnx")
-    paper = train.resolve(train.TrainArgs("pose_net_2d", tmp_path, recipe="paper"))
+    paper = train.resolve(train.TrainArgs(tmp_path, "pose_net_2d", recipe="paper"))
     assert paper.networks.pose_net_2d.variant == "cpm9"
 
 
@@ -76,7 +76,7 @@ def test_resuming_as_another_stage_is_refused(hand_made_data, tmp_path):
     words = ["train", "hand_seg_net", "--out", str(tmp_path / "run"), "--data", "x", "--workers", "0", "--batch", "2"]
     assert main([*words, "--iterations", "1", "--max-minutes", "0", "--set", *SETTINGS]) == 0
     with pytest.raises(InputError, match="a run of stage hand_seg_net, not pose_net_2d"):
-        train.resolve(train.TrainArgs("pose_net_2d", tmp_path / "run", resume=True))
+        train.resolve(train.TrainArgs(tmp_path / "run", "pose_net_2d", resume=True))
 
 
 def test_export_refuses_a_full_folder_and_missing_weights(tmp_path):

@@ -128,7 +128,7 @@ def print_table(record: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    print(f"weights {record['weights']}, {record['runtime']}; {record['processor']}, {record['cores']} cores")
+    print(f"weights {record['weights']}, {record['runtime']}; {record['processor']}, cores: {record['cores']}")
     print(f"{record['frames']} frames of {record['picture']}, both hands in each")
     table = Table()
     table.add_column("stage", no_wrap=True)

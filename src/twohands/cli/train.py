@@ -1,33 +1,44 @@
-"""Train one of the three networks.
+"""Train one of the three networks, or fine-tune the shipped weights for your camera.
 
 The order is hand_seg_net and pose_net_2d (in any order), then pose_net_3d on the trained pose_net_2d. A run can be
 interrupted and resumed. Any setting of the run can be changed with --set, e.g. --set optim.learning_rate=5e-4; the
 run's folder holds all of them in config.json.
+
+With --your-camera instead of a STAGE, all networks go on learning from the shipped weights, on pictures as your camera
+would take them, and --out becomes a weights folder for twohands track.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import json
+import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from twohands.errors import InputError
+
+if TYPE_CHECKING:
+    from twohands.training.config import TrainConfig
 
 
 @dataclass(frozen=True)
 class TrainArgs:
     """Arguments of `twohands train`."""
 
-    stage: Annotated[
-        tyro.conf.Positional[Literal["hand_seg_net", "pose_net_2d", "pose_net_3d"]], tyro.conf.arg(metavar="STAGE")
-    ]
-    """Which network: hand_seg_net, pose_net_2d or pose_net_3d."""
     out: Path
     """Folder of the run."""
+    stage: Annotated[
+        tyro.conf.Positional[Literal["hand_seg_net", "pose_net_2d", "pose_net_3d"] | None],
+        tyro.conf.arg(metavar="STAGE", help_behavior_hint=""),
+    ] = None
+    """Which network: hand_seg_net, pose_net_2d or pose_net_3d; none with --your-camera."""
+    your_camera: Path | None = None
+    """Fine-tune for this camera: a file as for twohands track --camera. Takes no --data, --recipe, --weights and
+    --segmentation of its own."""
     data: tuple[str, ...] = ()
     """Folders of training pictures (instances, tar shards or frames), or "synthetic" to render them on the fly; needed
     unless resuming."""
@@ -39,8 +50,9 @@ class TrainArgs:
     """Checkpoints to start from, of a run or of a preset (its .onnx files); pose_net_3d needs one of pose_net_2d."""
     segmentation: Path | None = None
     """Pose stages: trained HandSegNet whose masks and boxes are mixed in, so that they learn from its errors."""
-    max_minutes: float | None = None
-    """Wall-clock budget over all resumes, 0 for none; default: the recipe's."""
+    max_minutes: Annotated[float | None, tyro.conf.arg(aliases=["--minutes"])] = None
+    """Wall-clock budget over all resumes, 0 for none; default: the recipe's. Fine-tuning: of all networks together,
+    default 30."""
     iterations: int | None = None
     """Most optimizer steps; default: the recipe's."""
     batch: int | None = None
@@ -57,17 +69,16 @@ class TrainArgs:
     """Continue the run in --out, with its own settings except for those given here."""
 
 
-def resolve(args: TrainArgs):
+def resolve(args: TrainArgs) -> TrainConfig:
     """The run that the arguments ask for.
 
-    Returns:
-        A `training.config.TrainConfig`.
-
     Raises:
-        InputError: an unknown setting, or a run that cannot be resumed.
+        InputError: no stage, an unknown setting, or a run that cannot be resumed.
     """
-    from twohands.training.config import TrainConfig, recipe, with_override
+    from twohands.training.config import TrainConfig, recipe
 
+    if args.stage is None:
+        raise InputError("which network? Name a STAGE (hand_seg_net, pose_net_2d, pose_net_3d), or give --your-camera")
     config_file = args.out / "config.json"
     if args.resume:
         if not config_file.is_file():
@@ -77,6 +88,17 @@ def resolve(args: TrainArgs):
             raise InputError(f"{args.out} holds a run of stage {config.stage}, not {args.stage}")
     else:
         config = recipe(args.recipe, args.stage)
+    return changed(config, args)
+
+
+def changed(config: TrainConfig, args: TrainArgs) -> TrainConfig:
+    """The run with everything that the arguments change.
+
+    Raises:
+        InputError: an unknown setting.
+    """
+    from twohands.training.config import with_override
+
     given = {
         "iterations": args.iterations,
         "max_minutes": args.max_minutes,
@@ -101,6 +123,8 @@ def resolve(args: TrainArgs):
 
 def run(args: TrainArgs) -> int:
     """Train, printing one line per log entry; under torchrun, only the first process prints."""
+    if args.your_camera is not None:
+        return _fine_tune(args.your_camera, args)
     from twohands.training.parallel import is_first_process
     from twohands.training.sources import open_source
     from twohands.training.trainer import train
@@ -124,4 +148,27 @@ def run(args: TrainArgs) -> int:
     say(f"{result.iterations} iterations in {result.minutes:.1f} min")
     for name, path in result.checkpoints.items():
         say(f"{name}: {path}")
+    return 0
+
+
+def _fine_tune(camera_file: Path, args: TrainArgs) -> int:
+    """Carry out `twohands train --your-camera`."""
+    from twohands.cli.fine_tune import DEFAULT_MINUTES, fine_tune
+
+    refused = {
+        "a STAGE": args.stage is not None,
+        "--data": args.data,
+        "--recipe paper": args.recipe != "ours",
+        "--weights": args.weights,
+        "--segmentation": args.segmentation,
+        "torchrun": int(os.environ.get("WORLD_SIZE", 1)) > 1,
+    }
+    for name, given in refused.items():
+        if given:
+            raise InputError(f"--your-camera trains all networks from the shipped weights: leave {name} out")
+    minutes = DEFAULT_MINUTES if args.max_minutes is None else args.max_minutes
+    settings = dataclasses.replace(args, max_minutes=None)
+    fine_tune(
+        camera_file, args.out, minutes=minutes, resume=args.resume, change=lambda config: changed(config, settings)
+    )
     return 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from twohands.errors import InputError
+from twohands.types import PinholeCamera
 
 SHARES = (
     *("together", "sleeves", "gloves", "objects", "watches", "rings"),
@@ -46,6 +47,8 @@ class SynthConfig:
     """Point lights with slightly random colour, brightness and position."""
     fov: tuple[float, float] | None = None
     """Range of the horizontal field of view, drawn evenly; None keeps the paper's focal length (104 degrees)."""
+    intrinsics: tuple[float, float, float, float] | None = None
+    """One camera for all pictures: fx, fy, cx, cy in pixels of `width` x `height`; `fov` must be None."""
     principal_shift: float = 0.0
     """Largest shift of the principal point from the image's centre, as a fraction of its size."""
     pitch: tuple[float, float] = (0.0, 0.0)
@@ -99,6 +102,10 @@ class SynthConfig:
             raise InputError(f"min_inside must be 0 to 21 joints, got {self.min_inside}")
         if self.fov is not None and not 10 <= self.fov[0] <= self.fov[1] <= 150:
             raise InputError(f"fov must be an ordered pair in [10, 150] degrees, got {self.fov}")
+        if self.intrinsics is not None and (self.fov is not None or self.principal_shift):
+            raise InputError("intrinsics leave nothing to draw: fov must be None and principal_shift 0")
+        if self.intrinsics is not None:
+            PinholeCamera(*self.intrinsics, self.width, self.height)  # refuses what is no camera
         if not 0 <= self.principal_shift <= 0.3:
             raise InputError(f"principal_shift must lie in [0, 0.3], got {self.principal_shift}")
         if not 0 <= self.camera_shift <= 0.15:

@@ -297,6 +297,8 @@ def inside_image(joints_m: np.ndarray, camera: PinholeCamera, margin: float) -> 
 def sample_camera(config: SynthConfig, rng: np.random.Generator) -> tuple[PinholeCamera, np.ndarray]:
     """Intrinsics, and the (3, 4) transform from the frame between the eyes to the camera's."""
     camera = PinholeCamera.ego3dhands(config.width, config.height)
+    if config.intrinsics is not None:
+        camera = PinholeCamera(*config.intrinsics, config.width, config.height)
     if config.fov is not None:
         camera = PinholeCamera.from_fov(rng.uniform(*config.fov), config.width, config.height)
     if config.principal_shift:

@@ -179,6 +179,8 @@ def train(
     if resume:
         state.restore(state_path)
     if first:
+        if not resume:
+            state.save(state_path, config)  # before the config: a run that was killed at once can be resumed too
         _cut_log(out / LOG_FILE, state.iteration)
         _write_text(out / CONFIG_FILE, json.dumps(config.to_dict(), indent=2) + "\n")
 
@@ -399,10 +401,10 @@ class _Log:
 
 
 def _cut_log(path: Path, iteration: int) -> None:
-    """Drop rows written after the state that a resume starts from."""
+    """Drop rows written after the state that a run starts from, and a last one that a kill has cut short."""
     if not path.exists():
         return
-    header, *rows = path.read_text(encoding="utf-8").splitlines()
+    header, *rows = path.read_text(encoding="utf-8").split("\n")[:-1]
     kept = [row for row in rows if int(row.split(",", 1)[0]) <= iteration]
     _write_text(path, "\n".join([header, *kept]) + "\n")
 

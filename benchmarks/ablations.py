@@ -1,0 +1,144 @@
+"""The paper's ablations of the pose networks, each row trained alike: one markdown table.
+
+    python -m benchmarks.ablations --data FRAMES --out runs/ablations --iterations 3000
+
+Recipe `paper` with narrow networks, its rate halved twice; every row changes the settings that it names and nothing
+else. Stages are studied alone: true boxes and masks, and for PoseNet3D the maps of the 2D row that it starts from,
+which stays fixed. Figures are those of the held-out pictures at the ends of the folders. The rows are trained one after
+the other; a run that was killed goes on with the same command, finished rows are not trained again. The paper trains
+its row without batch normalisation by plain SGD at 1e-6; here all rows keep Adam.
+
+What needs no training is measured on predictions instead: key bone and all joints by `benchmarks/range_solvers.py`,
+smoothing by `twohands eval sweep`, isolated and complete by `twohands eval budget`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from twohands.errors import TwoHandsError
+from twohands.training.config import StageName, TrainConfig, recipe, with_override
+from twohands.training.sources import open_source
+from twohands.training.trainer import TrainResult, train
+
+NARROW = (
+    "networks.pose_net_2d.width=0.25",
+    "networks.pose_net_2d.stages=3",
+    "networks.pose_net_3d.width=0.25",
+    "truth_maps=0",
+)
+"""The paper's networks at a size that a CPU can train, and no ideal maps, whose spread would tell the true depth."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table.
+
+    Attributes:
+        name: what a reader calls it; unique.
+        stage: the network that is trained.
+        settings: what differs from the recipe, as for `twohands train --set`.
+        start: 2D row whose network makes the maps, for PoseNet3D.
+    """
+
+    name: str
+    stage: StageName
+    settings: tuple[str, ...] = ()
+    start: str = ""
+
+    @property
+    def folder(self) -> str:
+        """Name of the row's run."""
+        return self.name.replace(" ", "_").replace(",", "")
+
+
+ROWS = (
+    Row("2D, as in the paper", "pose_net_2d"),
+    Row("2D, background left in", "pose_net_2d", ("crop.background=1.0",)),
+    Row("2D, without batch norm", "pose_net_2d", ("networks.pose_net_2d.batch_norm=false",)),
+    Row("2D, plain heatmaps", "pose_net_2d", ("loss.z_heatmaps=false",)),
+    Row("3D, L_j", "pose_net_3d", ("loss.bone=0", "loss.projection=0"), "2D, as in the paper"),
+    Row("3D, L_j + L_bone", "pose_net_3d", ("loss.projection=0",), "2D, as in the paper"),
+    Row("3D, L_j + L_bone + L_proj", "pose_net_3d", (), "2D, as in the paper"),
+    Row("3D, plain heatmaps", "pose_net_3d", ("loss.z_heatmaps=false",), "2D, plain heatmaps"),
+)
+FIGURES = {
+    "crop_px_median": ("2D median, px of the crop", 1.0, 2),
+    "crop_px_mean": ("2D mean", 1.0, 2),
+    "canonical_median": ("3D median, % of the hand length", 100.0, 2),
+    "canonical_mean": ("3D mean", 100.0, 2),
+    "bone_mean": ("bone length error", 100.0, 2),
+}
+"""Figure of `Stage.validate` -> column, factor, digits."""
+
+
+def row_config(row: Row, data: str, further: tuple[str, ...] = ()) -> TrainConfig:
+    """The run of a row.
+
+    Args:
+        row: one of `ROWS`.
+        data: folders of training pictures, separated by commas.
+        further: settings of all rows.
+    """
+    config = recipe("paper", row.stage)
+    config = dataclasses.replace(config, data=dataclasses.replace(config.data, source=data))
+    for setting in (*NARROW, *row.settings, *further):
+        config = with_override(config, setting)
+    return config
+
+
+def train_row(row: Row, config: TrainConfig, out: Path) -> TrainResult:
+    """Train a row, or go on with it, or find that it is finished."""
+    source, held_out = open_source(config.data)
+    start = next((other for other in ROWS if other.name == row.start), None)
+    return train(
+        config,
+        source,
+        held_out,
+        out / row.folder,
+        weights=[out / start.folder / "pose_net_2d.safetensors"] if start else [],
+        resume=(out / row.folder / "config.json").is_file(),
+        report=lambda line: print(f"{row.name:<28} {line}", file=sys.stderr, flush=True),
+    )
+
+
+def table(results: dict[str, TrainResult]) -> str:
+    """Markdown: a line per row, a column per figure."""
+    lines = [
+        "| | steps | " + " | ".join(title for title, _, _ in FIGURES.values()) + " |",
+        "| --- |" + " --- |" * (1 + len(FIGURES)),
+    ]
+    for name, result in results.items():
+        cells = [
+            f"{factor * result.figures[key]:.{digits}f}" if key in result.figures else ""
+            for key, (_, factor, digits) in FIGURES.items()
+        ]
+        lines.append(f"| {name} | {result.iterations} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Trains what is missing, prints the table and keeps it in the folder."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", required=True, help="folders of training pictures, separated by commas")
+    parser.add_argument("--out", type=Path, required=True, help="folder of the runs")
+    parser.add_argument("--iterations", type=int, default=3000, help="steps of every row")
+    parser.add_argument("--set", nargs="*", default=[], help="further settings of all rows, NAME=VALUE")
+    args = parser.parse_args()
+    halve_every = max(1, args.iterations // 3)  # as often as in the paper's 15,000 steps
+    further = (f"iterations={args.iterations}", f"optim.halve_every={halve_every}", *args.set)
+    results = {row.name: train_row(row, row_config(row, args.data, further), args.out) for row in ROWS}
+    text = table(results)
+    (args.out / "ablations.md").write_text(text + "\n", encoding="utf-8")
+    print(text)
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except TwoHandsError as error:
+        sys.exit(f"error: {error}")

@@ -1,0 +1,88 @@
+"""`twohands train --your-camera`: render for a camera, train on, export; one folder, resumable at any moment."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+from twohands.cli.progress import progress_of
+from twohands.errors import InputError
+from twohands.inference.camera_files import read_camera
+from twohands.inference.weights import DEFAULT_PRESET, NETWORK_NAMES, preset_folder
+from twohands.training.config import TrainConfig
+
+DEFAULT_MINUTES = 30.0
+WORK_FOLDER = "work"
+"""Inside the output folder: frames and runs; only needed to resume."""
+
+
+def fine_tune(
+    camera_file: Path, out: Path, *, minutes: float, resume: bool, change: Callable[[TrainConfig], TrainConfig]
+) -> None:
+    """Fine-tune the shipped weights for one camera, and export them.
+
+    Args:
+        camera_file: as for `twohands track --camera`.
+        out: becomes the weights folder; `work` inside it holds frames and runs.
+        minutes: of training; rendering and export come on top.
+        resume: go on with what is in `out`.
+        change: applies the user's settings to the run of a stage.
+
+    Raises:
+        InputError: a camera, folder or budget that cannot be used, or the frames there are of another camera or budget.
+    """
+    from twohands.export.onnx import export_preset
+    from twohands.synth.cache import build_cache
+    from twohands.training.fine_tune import SHARES, fine_tuning_run, frame_count, scenes_for, shapes_of
+    from twohands.training.sources import open_source
+    from twohands.training.trainer import train
+
+    if not minutes > 0:
+        raise InputError(f"--minutes must be positive, got {minutes:g}")
+    camera = read_camera(camera_file)
+    work = out / WORK_FOLDER
+    if resume and not work.is_dir():
+        raise InputError(f"{out} holds no fine-tuning to resume")
+    if not resume and out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise InputError(f"{out} is not an empty folder: choose another --out, or go on with --resume")
+    given = {name: preset_folder(DEFAULT_PRESET) / f"{name}.onnx" for name in NETWORK_NAMES}
+    networks = shapes_of(given)
+    checkpoints: dict[str, Path] = {}
+    runs = {
+        stage: change(
+            fine_tuning_run(stage, networks, minutes, work / "frames", work / "hand_seg_net/hand_seg_net.safetensors")
+        )
+        for stage in SHARES
+    }
+    if camera.distortion:
+        print("lens distortion is not rendered: the networks learn an ideal lens of this focal length")
+    print(f"fine-tuning of {DEFAULT_PRESET} for a field of view of {camera.hfov_deg:.0f} degrees, {minutes:g} min")
+    with progress_of("frames") as progress:
+        build_cache(
+            work / "frames",
+            scenes_for(camera),
+            next(iter(runs.values())).seed,
+            frame_count(minutes),
+            workers=os.cpu_count() or 1,
+            progress=progress,
+        )
+    for stage, config in runs.items():
+        source, held_out = open_source(config.data, with_empty=stage == "hand_seg_net")
+        print(f"{stage}: {len(source)} pictures, {len(held_out)} held out")
+        result = train(
+            config,
+            source,
+            held_out,
+            work / stage,
+            weights=[given[name] for name in _networks_of(stage)],
+            resume=(work / stage / "config.json").is_file(),
+            report=lambda line: print(line, flush=True),
+        )
+        checkpoints |= result.checkpoints
+    export_preset(checkpoints, out, name=out.resolve().name, further={"fine_tuned_from": DEFAULT_PRESET})
+    print(f"weights written to {out}; use them with twohands track --weights {out} --camera {camera_file}")
+
+
+def _networks_of(stage: str) -> tuple[str, ...]:
+    return ("hand_seg_net",) if stage == "hand_seg_net" else ("pose_net_2d", "pose_net_3d")

@@ -1,0 +1,68 @@
+"""`twohands train --your-camera`: one command from a camera file to weights that `track` takes."""
+
+import json
+
+import pytest
+
+from twohands.cli.demo import examples_folder
+from twohands.cli.main import main
+
+CAMERA = {"fx": 520, "fy": 520, "cx": 330, "cy": 235, "width": 640, "height": 480}
+
+
+@pytest.fixture
+def camera(tmp_path):
+    path = tmp_path / "camera.json"
+    path.write_text(json.dumps(CAMERA))
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["hand_seg_net"], "leave a STAGE out"),
+        (["--data", "x"], "leave --data out"),
+        (["--minutes", "0"], "--minutes must be positive, got 0"),
+        (["--resume"], "holds no fine-tuning to resume"),
+        (["--set", "speed=3"], "unknown setting 'speed'"),
+    ],
+)
+def test_mistakes_are_one_line_and_leave_nothing(words, message, camera, tmp_path, capsys):
+    assert main(["train", "--your-camera", camera, "--out", str(tmp_path / "mine"), *words]) == 2
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") == 1
+    assert not (tmp_path / "mine").exists()
+
+
+def test_a_missing_camera_and_a_used_folder_are_refused(camera, tmp_path, capsys):
+    assert main(["train", "--your-camera", str(tmp_path / "none.json"), "--out", str(tmp_path / "mine")]) == 2
+    assert "no such camera file" in capsys.readouterr().err
+    assert main(["train", "--your-camera", camera, "--out", str(tmp_path)]) == 2
+    assert "is not an empty folder" in capsys.readouterr().err
+
+
+def test_neither_stage_nor_camera(tmp_path, capsys):
+    assert main(["train", "--out", str(tmp_path / "run")]) == 2
+    assert "which network?" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_from_a_camera_file_to_tracked_pictures(camera, tmp_path, capsys):
+    out = tmp_path / "mine"
+    words = ["train", "--your-camera", camera, "--out", str(out), "--minutes", "1", "--batch", "2"]
+    words += ["--iterations", "2", "--workers", "0", "--set", "data.validation=4"]
+    assert main(words) == 0
+    assert "weights written to" in capsys.readouterr().out
+    card = json.loads((out / "card.json").read_text())
+    assert card["name"] == "mine" and card["fine_tuned_from"] == "fast"
+    assert card["training"]["pose_net_3d"]["iterations"] == 2
+    assert str(tmp_path) not in (out / "card.json").read_text()
+
+    assert main(words) == 2
+    assert "go on with --resume" in capsys.readouterr().err
+    assert main([*words, "--resume", "--iterations", "3"]) == 0
+    assert json.loads((out / "card.json").read_text())["training"]["pose_net_2d"]["iterations"] == 3
+
+    picture = next(examples_folder().glob("*.png"))
+    assert main(["track", str(picture), "--weights", str(out), "--out", str(tmp_path / "tracked"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["weights"] == "mine"
