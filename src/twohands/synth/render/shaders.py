@@ -33,8 +33,8 @@ float noise(vec3 x) {
 _GRAIN: Final = """
 // Fine texture, about -0.5 to 0.5, for less than half the price of `noise`: triangle waves, bent twice.
 float grains(vec3 x) {
-    x += 1.9 * abs(fract(x.yzx * 0.171) - 0.5);
-    x += 1.3 * abs(fract(x.zxy * 0.431 + 0.3) - 0.5);
+    x += 3.1 * abs(fract(x.yzx * 0.171) - 0.5);
+    x += 2.3 * abs(fract(x.zxy * 0.431 + 0.3) - 0.5);
     vec3 phase = mat3(0.33, -0.27, 0.24, 0.29, 0.36, -0.19, -0.21, 0.25, 0.41) * x;
     return 0.6 * dot(abs(fract(phase) - 0.5), vec3(1.0)) - 0.45;
 }
@@ -322,7 +322,7 @@ void main() {{
     float towards = dot(n, v);
     if (towards < 0.0) n = normalize(n - 1.05 * towards * v);
 
-    float grain = grains((rest_position + noise_offset) * 500.0 + blotch * vec3(9.0, -7.0, 8.0));
+    float grain = grains((rest_position + noise_offset) * 700.0 + blotch * vec3(9.0, -7.0, 8.0));
     vec3 base = mix(albedo, palm_albedo, skin.x);
     base *= 1.0 + mottle * (0.35 * blotch + 0.4 * grain);
     base *= mix(vec3(1.0), vec3(1.06, 0.86, 0.84), skin.y * 0.8 + mottle * 0.5 * blotch);
