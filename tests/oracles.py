@@ -13,7 +13,7 @@ from twohands.geometry.canonical import canonical_from_camera
 from twohands.geometry.heatmaps import encode_energy, encode_heatmaps
 from twohands.geometry.segmentation import network_input
 from twohands.inference.engine import Networks
-from twohands.inference.estimator import HandEstimator, StageTruth, joint_boxes
+from twohands.inference.estimator import HandEstimator, StageTruth
 from twohands.inference.weights import WeightsCard
 from twohands.types import HandCrop, HandSample
 
@@ -83,7 +83,6 @@ class Oracle:
         self.canonical = canonical_from_camera(sample.joints_m).joints
         self.calls: list[str] = []
         self.maps = np.zeros((0, 21, 32, 32))
-        self.crops: list[HandCrop] = []
         self.estimator = HandEstimator(Networks(self.hand_seg_net, self.pose_net_2d, self.pose_net_3d), card)
 
     def hand_seg_net(self, batch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -100,24 +99,24 @@ class Oracle:
     def pose_net_2d(self, batch: np.ndarray) -> np.ndarray:
         self.calls.append("pose_net_2d")
         estimator = HandEstimator(Networks(self.hand_seg_net, unused_network, unused_network), self.card)
-        image, sides = self.sample.image, [int(side) for side in np.flatnonzero(self.sample.present)]
-        masks, boxes = estimator.segment(image)
+        masks, boxes = estimator.segment(self.sample.image)
         self.calls.pop()
-        boxes_px = boxes.boxes_px[sides]
-        if self.calls[-2:-1] == ["pose_net_2d"]:  # the second look, into the boxes of the joints found by the first
-            joints_px, _ = estimator.read_out(self.maps, self.crops)
-            boxes_px = joint_boxes(joints_px, image.shape[:2], boxes_px)
-        cut = zip(boxes_px, sides, strict=True)
-        crops = [estimator.crop(image, masks, box_px, side, self.sample.camera) for box_px, side in cut]
-        self.crops = crops
+        crops = [
+            estimator.crop(self.sample.image, masks, boxes.boxes_px[side], side, self.sample.camera)
+            for side in np.flatnonzero(self.sample.present)
+        ]
         np.testing.assert_array_equal(batch, network_input(np.stack([crop.image for crop in crops])))
+        self.maps = self.true_maps(crops)
+        return self.maps
+
+    def true_maps(self, crops: list[HandCrop]) -> np.ndarray:
+        """(B, 21, M, M) maps of the true joints in these crops."""
         maps = []
         for crop in crops:
             joints = apply_homography(np.linalg.inv(crop.image_from_crop), self.sample.joints_px[crop.side])
             z = self.canonical[crop.side, :, 2] if self.z_heatmaps else None
             maps.append(encode_heatmaps(joints, crop_size=self.card.crop_size, z=z))
-        self.maps = np.stack(maps).astype(np.float32)
-        return self.maps
+        return np.stack(maps).astype(np.float32)
 
     def pose_net_3d(self, heatmaps: np.ndarray) -> np.ndarray:
         self.calls.append("pose_net_3d")
