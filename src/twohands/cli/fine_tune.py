@@ -13,6 +13,8 @@ from twohands.inference.weights import DEFAULT_PRESET, NETWORK_NAMES, preset_fol
 from twohands.training.config import TrainConfig
 
 DEFAULT_MINUTES = 30.0
+CALIBRATION_PICTURES = 64
+"""On which activations are measured for 8-bit arithmetic."""
 WORK_FOLDER = "work"
 """Inside the output folder: frames and runs; only needed to resume."""
 
@@ -32,6 +34,7 @@ def fine_tune(
     Raises:
         InputError: a camera, folder or budget that cannot be used, or the frames there are of another camera or budget.
     """
+    from twohands.export.calibration import add_int8
     from twohands.export.onnx import export_preset
     from twohands.synth.cache import build_cache
     from twohands.training.fine_tune import SHARES, fine_tuning_run, frame_count, scenes_for, shapes_of
@@ -81,6 +84,7 @@ def fine_tune(
         )
         checkpoints |= result.checkpoints
     export_preset(checkpoints, out, name=out.resolve().name, further={"fine_tuned_from": DEFAULT_PRESET})
+    add_int8(out, (source[i] for i in range(min(CALIBRATION_PICTURES, len(source)))))
     print(f"weights written to {out}; use them with twohands track --weights {out} --camera {camera_file}")
 
 
