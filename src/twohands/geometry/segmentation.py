@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.floating]
-PRESENCE_THRESHOLD = 0.83
+PRESENCE_THRESHOLD = 0.6
 """A hand is absent where its score (`hand_scores`) is below this.
 
-The paper says "very low activation" of the energy and gives no value (SPEC 2). The energy alone, with the best
-threshold, is wrong for 8 of 1,000 hands, the score for 3; in hand-free photographs it sees a third as many.
+The paper says "very low activation" of the energy and gives no value (SPEC 2). Chosen on pictures that are neither
+trained nor tested on: right for 99.5 % of 600 hands of preset paper and 90 % of 400 of preset wild; in photographs
+without hands, 1.7 % of 300 are invented.
 """
 OPENING_SIZE = 5
 """Side of the opening's kernel on a map of REFERENCE_WIDTH; smaller maps take a smaller kernel."""
