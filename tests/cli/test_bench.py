@@ -16,7 +16,8 @@ def test_json_and_table_name_every_stage_and_the_machine(capsys):
     assert list(record["ms"]) == [*STAGES.values(), "total"]
     assert (record["picture"], record["frames"], record["weights"]) == ("960x540", 2, "fast")
     assert record["runtime"].startswith("OpenVINO on 1 thread in ")
-    assert record["runtime"].split()[-1] in ("f32", "bf16", "f16")
+    arithmetic = record["runtime"].split(" in ")[1].split(" and ")
+    assert "int8" in arithmetic and set(arithmetic) <= {"int8", "f32", "bf16", "f16"}
     assert record["processor"] and record["cores"] >= 1
     medians = {name: values["median"] for name, values in record["ms"].items()}
     assert medians["letterbox, HandSegNet"] > medians["boxes, masks"] > 0
