@@ -96,7 +96,7 @@ class Oracle:
         energy = np.clip(energy, 1e-6, 1 - 1e-6)
         return seg_logits[None].astype(np.float32), np.log(energy / (1 - energy))[None].astype(np.float32)
 
-    def pose_net_2d(self, batch: np.ndarray) -> np.ndarray:
+    def pose_net_2d(self, batch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         self.calls.append("pose_net_2d")
         estimator = HandEstimator(Networks(self.hand_seg_net, unused_network, unused_network), self.card)
         masks, boxes = estimator.segment(self.sample.image)
@@ -107,7 +107,7 @@ class Oracle:
         ]
         np.testing.assert_array_equal(batch, network_input(np.stack([crop.image for crop in crops])))
         self.maps = self.true_maps(crops)
-        return self.maps
+        return self.maps, np.zeros(len(crops))
 
     def true_maps(self, crops: list[HandCrop]) -> np.ndarray:
         """(B, 21, M, M) maps of the true joints in these crops."""

@@ -18,9 +18,7 @@ SETTINGS = ("networks.hand_seg_net.width=0.125", "networks.hand_seg_net.height=6
 @pytest.fixture
 def hand_made_data(monkeypatch):
     """`--data` is answered with hand-made pictures: what is tested here is the command, not the readers."""
-    monkeypatch.setattr(
-        sources, "open_source", lambda spec, with_empty=False: sources.split(make_samples(20), spec.validation)
-    )
+    monkeypatch.setattr(sources, "open_source", lambda spec: sources.split(make_samples(20), spec.validation))
 
 
 def test_arguments_reach_the_run(tmp_path):

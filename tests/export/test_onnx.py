@@ -149,7 +149,7 @@ def test_a_pose_machine_is_exported_by_its_last_stage():
     network = PoseNet2D(PoseNet2DConfig("cpm9", stages=2, width=0.07)).eval()
     crop = torch.rand(1, 3, 256, 256)
     with torch.no_grad():
-        assert torch.equal(onnx.HeatmapNet(network)(crop), network(crop)[1])
+        assert torch.equal(onnx.HeatmapNet(network)(crop)[0], network(crop)[1])
 
 
 def test_other_modules_are_refused(tmp_path):

@@ -8,6 +8,7 @@ from tests.oracles import UNUSED, Oracle, drawn_hands, full_truth, hand_masks, m
 
 from twohands.errors import InputError
 from twohands.geometry.canonical import canonical_from_camera
+from twohands.geometry.segmentation import HandBoxes
 from twohands.inference.engine import Networks
 from twohands.inference.estimator import HandEstimator, StageTruth, joint_boxes
 from twohands.skeleton import LEFT, RIGHT
@@ -73,7 +74,7 @@ def test_a_stage_with_truth_is_not_run_and_the_others_are(given, calls):
 
     networks = Networks(
         recorder("hand_seg_net", ((3, 135, 240), 0.0), ((2, 135, 240), np.where(np.arange(240) < 60, 9.0, -9.0))),
-        recorder("pose_net_2d", ((21, 32, 32), 0.5)),
+        recorder("pose_net_2d", ((21, 32, 32), 0.5), ((), 0.0)),
         recorder("pose_net_3d", ((21, 3), 1.0)),
     )
     truth = full_truth(sample)
@@ -131,19 +132,21 @@ def test_only_a_hand_far_from_its_box_is_looked_at_again():
 
     def maps(batch):
         """True maps of the crops that were cut last."""
-        return oracle.true_maps([crop for crop in cut[-len(batch) :]])
+        return oracle.true_maps([crop for crop in cut[-len(batch) :]]), np.zeros(len(batch))
 
     estimator = HandEstimator(dataclasses.replace(oracle.estimator.networks, pose_net_2d=maps), oracle.card)
     plain_crop = estimator.crop
     estimator.crop = lambda *arguments: cut.append(plain_crop(*arguments)) or cut[-1]
     masks = hand_masks(sample)
-    crops, heatmaps, joints_px, _ = estimator.find_joints(sample.image, masks, rough_px, [0, 1], sample.camera)
+    rough = HandBoxes(rough_px, np.array([True, True]), np.ones(2))
+    _, boxes, look = estimator.find_joints(sample.image, masks, rough, sample.camera)
     assert [crop.side for crop in cut] == [LEFT, RIGHT, RIGHT]
-    assert crops[LEFT] is cut[0] and crops[RIGHT] is cut[2]
+    assert look.crops[LEFT] is cut[0] and look.crops[RIGHT] is cut[2]
+    np.testing.assert_allclose(boxes.boxes_px, boxes_px, atol=0.1)
     expected = plain_crop(sample.image, masks, boxes_px[RIGHT], RIGHT, sample.camera)
-    np.testing.assert_allclose(crops[RIGHT].image_from_crop, expected.image_from_crop, rtol=0.02, atol=0.5)
-    np.testing.assert_array_equal(heatmaps, oracle.true_maps(crops))
-    np.testing.assert_allclose(joints_px, sample.joints_px, atol=0.1)
+    np.testing.assert_allclose(look.crops[RIGHT].image_from_crop, expected.image_from_crop, rtol=0.02, atol=0.5)
+    np.testing.assert_array_equal(look.heatmaps, oracle.true_maps(look.crops))
+    np.testing.assert_allclose(look.joints_px, sample.joints_px, atol=0.1)
 
 
 def test_small_or_outlying_joints_keep_the_box_of_before():
@@ -270,3 +273,62 @@ def test_canonical_truth_is_that_of_the_real_hand():
     with_truth = oracle.estimator.estimate(sample.image, sample.camera, HAND_LENGTH_M, truth)
     without = oracle.estimator.estimate(sample.image, sample.camera, HAND_LENGTH_M)
     np.testing.assert_allclose(with_truth.right.joints_m, without.right.joints_m, atol=1e-6)
+
+
+def judging(oracle, hand_seg_net):
+    """The oracle's pipeline behind another HandSegNet, with a PoseNet2D that knows which hand a crop's centre is in."""
+    card = dataclasses.replace(oracle.card, judge=True)
+    left_like = oracle.canonical * np.array([[[1, 1, 1]], [[-1, 1, 1]]])
+    networks = Networks(hand_seg_net, UNUSED.pose_net_2d, lambda maps: left_like[np.flatnonzero(oracle.sample.present)])
+    estimator = HandEstimator(networks, card)
+    centres = true_boxes(oracle.sample).reshape(2, 2, 2).mean(axis=1)
+
+    def locate(crops, truth):
+        middles = [crop.image_from_crop @ [card.crop_size / 2, card.crop_size / 2, 1] for crop in crops]
+        off = [np.linalg.norm(m[:2] / m[2] - centres[crop.side]) for m, crop in zip(middles, crops, strict=True)]
+        return oracle.true_maps(crops), np.where(np.array(off) < 10, 6.0, -6.0)
+
+    estimator.locate = locate
+    return estimator
+
+
+def test_swapped_hands_are_set_right_by_the_judge():
+    """HandSegNet calls the left hand right and the right one left; PoseNet2D does not."""
+    sample = drawn_hands(0)
+    oracle = Oracle(sample, make_card())
+
+    def swapped(batch):
+        logits, energies = oracle.hand_seg_net(batch)
+        return logits[:, [0, 2, 1]], energies[:, ::-1]
+
+    pose = judging(oracle, swapped).estimate(sample.image, sample.camera, HAND_LENGTH_M)
+    np.testing.assert_array_equal(pose.masks, hand_masks(sample))
+    for side, hand in enumerate(pose.hands):
+        assert hand.present and hand.score > 0.9
+        np.testing.assert_allclose(hand.joints_px, sample.joints_px[side], atol=0.3)
+        np.testing.assert_allclose(hand.joints_m, sample.joints_m[side], atol=5e-3)
+
+
+def test_a_ghost_on_the_other_hand_is_refused_and_gives_its_pixels_back():
+    sample = drawn_hands(1, present=(True, False))
+    oracle = Oracle(sample, make_card())
+
+    def doubled(batch):
+        logits, energies = oracle.hand_seg_net(batch)
+        logits[:, 2] = np.where(np.arange(logits.shape[-1]) % 2, logits[:, 1] + 1, logits[:, 2])  # every other column
+        return logits, np.repeat(energies[:, :1], 2, axis=1)
+
+    plain = HandEstimator(dataclasses.replace(oracle.estimator.networks, hand_seg_net=doubled), oracle.card)
+    assert plain.segment(sample.image)[1].present.all()
+    pose = judging(oracle, doubled).estimate(sample.image, sample.camera, HAND_LENGTH_M)
+    assert pose.left.present and not pose.right.present
+    np.testing.assert_array_equal(pose.masks, hand_masks(sample))
+    np.testing.assert_allclose(pose.left.joints_px, sample.joints_px[LEFT], atol=0.3)
+
+
+def test_what_is_no_hand_is_refused():
+    sample = drawn_hands(2)
+    estimator = judging(Oracle(sample, make_card()), Oracle(sample, make_card()).hand_seg_net)
+    estimator.locate = lambda crops, truth: (np.zeros((len(crops), 21, 32, 32)), np.full(len(crops), -9.0))
+    pose = estimator.estimate(sample.image, sample.camera, HAND_LENGTH_M)
+    assert not pose.left.present and not pose.right.present and not pose.masks.any()

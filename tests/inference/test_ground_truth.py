@@ -98,7 +98,7 @@ def drawn_budget(count: int = 2, scale: float = 1.0):
             left_like = oracle.canonical * np.array([[[1, 1, 1]], [[-1, 1, 1]]])
             networks = replace(
                 oracle.estimator.networks,
-                pose_net_2d=lambda batch: np.stack([maps] * len(batch)),
+                pose_net_2d=lambda batch: (np.stack([maps] * len(batch)), np.zeros(len(batch))),
                 pose_net_3d=lambda maps: (scale * left_like[np.flatnonzero(sample.present)]).astype(np.float32),
             )
             return TruthfulEstimator(HandEstimator(networks, make_card()), study.truth)(sample)

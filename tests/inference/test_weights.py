@@ -38,7 +38,7 @@ def test_the_shipped_presets_are_complete():
     for name in names:
         card = read_card(preset_folder(name))
         assert card.name == name
-        load_networks(preset_folder(name))
+        load_networks(preset_folder(name), card)
 
 
 @pytest.mark.parametrize(
@@ -88,7 +88,7 @@ def test_a_missing_network_is_named(copied):
 def test_a_damaged_network_is_refused(copied, content):
     (copied / "pose_net_2d.onnx").write_bytes(content)
     with pytest.raises(CheckpointError, match=r"pose_net_2d\.onnx"):
-        load_networks(copied)
+        load_networks(copied, read_card(copied))
 
 
 ROLES = ("hand_seg_net", "pose_net_2d", "pose_net_3d")
@@ -98,24 +98,25 @@ ROLES = ("hand_seg_net", "pose_net_2d", "pose_net_3d")
 def test_another_network_in_a_role_is_refused(copied, role, other):
     shutil.copy(copied / f"{other}.onnx", copied / f"{role}.onnx")
     with pytest.raises(CheckpointError, match="another network"):
-        load_networks(copied)
+        load_networks(copied, read_card(copied))
 
 
 def test_compiled_networks_are_functions_of_batches(tiny):
-    networks = load_networks(tiny)
+    networks = load_networks(tiny, read_card(tiny))
     seg_logits, energy_logits = networks.hand_seg_net(np.zeros((1, 3, 48, 80), np.float32))
     assert seg_logits.shape == (1, 3, 48, 80) and energy_logits.shape == (1, 2, 48, 80)
     assert seg_logits[0, 1, 0, 0] == 1.0 and energy_logits[0, 0, 30, 20] == 4.0
     for count in (1, 2):
-        heatmaps = networks.pose_net_2d(np.zeros((count, 3, 32, 32), np.float32))
+        heatmaps, hand_logits = networks.pose_net_2d(np.zeros((count, 3, 32, 32), np.float32))
         assert heatmaps.shape == (count, 21, 8, 8)
+        np.testing.assert_array_equal(hand_logits, np.zeros(count))  # it does not judge
         assert networks.pose_net_3d(heatmaps).shape == (count, 21, 3)
 
 
 def test_results_of_one_call_survive_the_next(tiny):
     """An engine may reuse its memory; what it returned must not change."""
-    networks = load_networks(tiny)
-    first = networks.pose_net_2d(np.zeros((1, 3, 32, 32), np.float32))
+    networks = load_networks(tiny, read_card(tiny))
+    first, _ = networks.pose_net_2d(np.zeros((1, 3, 32, 32), np.float32))
     kept = first.copy()
     networks.pose_net_2d(np.full((1, 3, 32, 32), np.nan, np.float32))
     np.testing.assert_array_equal(first, kept)

@@ -71,7 +71,7 @@ def fine_tune(
             progress=progress,
         )
     for stage, config in runs.items():
-        source, held_out = open_source(config.data, with_empty=stage == "hand_seg_net")
+        source, held_out = open_source(config.data)
         print(f"{stage}: {len(source)} pictures, {len(held_out)} held out")
         result = train(
             config,

@@ -134,7 +134,7 @@ def run(args: TrainArgs) -> int:
             print(line, flush=True)
 
     config = resolve(args)
-    source, held_out = open_source(config.data, with_empty=config.stage == "hand_seg_net")
+    source, held_out = open_source(config.data)
     say(f"{config.stage}, recipe {config.recipe}: {len(source)} pictures, {len(held_out)} held out")
     result = train(
         config,

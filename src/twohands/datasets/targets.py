@@ -109,6 +109,7 @@ class PoseTarget:
             back for right hands, so that right hands need no further care downstream. Lens distortion ignored.
         image_from_crop: (3, 3) float32, crop pixels -> pixels of the full picture.
         side: LEFT or RIGHT.
+        hand: whether the crop shows a hand of that side; if not, no joint is known.
     """
 
     image: np.ndarray
@@ -120,6 +121,7 @@ class PoseTarget:
     rays_from_crop: np.ndarray
     image_from_crop: np.ndarray
     side: int
+    hand: bool = True
 
 
 def hand_classes(labels: np.ndarray) -> np.ndarray:
@@ -305,6 +307,61 @@ def pose_target(
         rays_from_crop=rays.astype(np.float32),
         image_from_crop=image_from_crop.astype(np.float32),
         side=side,
+    )
+
+
+def false_hand(
+    image: np.ndarray,
+    classes: np.ndarray,
+    box_px: np.ndarray,
+    camera: PinholeCamera,
+    side: int,
+    size: int,
+    crop: CropConfig,
+    *,
+    photometric: PhotometricConfig | None = None,
+    rng: np.random.Generator | None = None,
+) -> PoseTarget:
+    """A crop cut where no hand of that side is, for PoseNet2D's judge.
+
+    Args:
+        image: (H, W, 3) uint8 RGB.
+        classes: (H, W) uint8, the masks that mistake something for a hand.
+        box_px: (4,) u0, v0, u1, v1, where the hand is said to be.
+        camera: of the picture.
+        side: which hand it is said to be.
+        size: crop side in pixels.
+        crop: kind of crop.
+        photometric: training changes, used only with `rng`.
+        rng: source of randomness.
+    """
+    image_from_crop = crop_matrix(box_px, camera, side, size, crop)
+    shown = warp_image(image, image_from_crop, size, interpolation="linear")
+    if rng is not None and photometric is not None:
+        shown = jitter_colours(shown, photometric, rng)
+    masks = warp_image(classes, image_from_crop, size, interpolation="nearest")
+    shown = compose_hand_input(shown, masks, np.eye(3), side, size, crop.background)
+    return _without_hand(shown, image_from_crop, side)
+
+
+def mirrored_hand(target: PoseTarget) -> PoseTarget:
+    """The same crop mirrored: it shows a hand of the wrong side."""
+    return _without_hand(np.ascontiguousarray(target.image[:, ::-1]), target.image_from_crop, target.side)
+
+
+def _without_hand(image: np.ndarray, image_from_crop: np.ndarray, side: int) -> PoseTarget:
+    nothing = np.zeros(N_JOINTS, np.float32)
+    return PoseTarget(
+        image=image,
+        joints_px=np.zeros((N_JOINTS, 2), np.float32),
+        weight=nothing,
+        canonical=np.zeros((N_JOINTS, 3), np.float32),
+        canonical_weight=nothing,
+        distance=0.0,
+        rays_from_crop=np.eye(3, dtype=np.float32),
+        image_from_crop=image_from_crop.astype(np.float32),
+        side=side,
+        hand=False,
     )
 
 

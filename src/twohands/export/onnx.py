@@ -33,15 +33,17 @@ SMALL_TENSOR = 1024
 
 
 class HeatmapNet(nn.Module):
-    """PoseNet2D whose output is what PoseNet3D consumes."""
+    """PoseNet2D whose output is what PoseNet3D consumes, and its judgement if it has one."""
 
     def __init__(self, net: PoseNet2D) -> None:
         super().__init__()
         self.net = net
 
-    def forward(self, x: Tensor) -> Tensor:
-        """(B, 3, S, S) -> (B, 21, 32, 32)."""
-        return self.net.heatmaps(self.net(x))
+    def forward(self, x: Tensor) -> tuple[Tensor, ...]:
+        """(B, 3, S, S) -> heatmaps (B, 21, 32, 32) and perhaps (B, 1) log-odds."""
+        outputs, hand_logit = self.net.judged(x)
+        heatmaps = self.net.heatmaps(outputs)
+        return (heatmaps,) if hand_logit is None else (heatmaps, hand_logit)
 
 
 def export_network(network: nn.Module, path: str | Path, note: Mapping[str, Any] | None = None) -> None:
@@ -51,7 +53,8 @@ def export_network(network: nn.Module, path: str | Path, note: Mapping[str, Any]
     `models.checkpoint.load_network` reads the file too and training can go on from it.
 
     Args:
-        network: HandSegNet (outputs seg_logits, energy_logits), PoseNet2D (output heatmaps, as PoseNet3D consumes them)
+        network: HandSegNet (outputs seg_logits, energy_logits), PoseNet2D (output heatmaps, as PoseNet3D consumes them,
+            and hand_logit if it judges)
             or PoseNet3D (output canonical). Inputs are normalised, NCHW.
         path: destination.
         note: as for `models.checkpoint.save_network`.
@@ -65,6 +68,7 @@ def export_network(network: nn.Module, path: str | Path, note: Mapping[str, Any]
     elif isinstance(network, PoseNet2D):
         shape = (2, 3, network.config.crop_size, network.config.crop_size)
         name, model, inputs, outputs = "pose_net_2d", HeatmapNet(network), "crop", ["heatmaps"]
+        outputs += ["hand_logit"] if network.judge is not None else []
     elif isinstance(network, PoseNet3D):
         shape = (2, N_JOINTS, MAP_SIZE, MAP_SIZE)
         name, model, inputs, outputs = "pose_net_3d", network, "heatmaps", ["canonical"]

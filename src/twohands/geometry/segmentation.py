@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.floating]
 PRESENCE_THRESHOLD = 0.6
-"""A hand is absent where its score (`hand_scores`) is below this.
+"""A hand is absent where its score (`hand_scores`) is below this, unless PoseNet2D has a say (`inference.sides`).
 
 The paper says "very low activation" of the energy and gives no value (SPEC 2). Chosen on pictures that are neither
 trained nor tested on: right for 99.5 % of 600 hands of preset paper and 90 % of 400 of preset wild; in photographs
@@ -182,7 +182,11 @@ def hand_scores(energies: np.ndarray, seg_logits: np.ndarray) -> np.ndarray:
 
 
 def boxes_from_energy(
-    energies: np.ndarray, image_size: tuple[int, int], scores: np.ndarray, present: np.ndarray | None = None
+    energies: np.ndarray,
+    image_size: tuple[int, int],
+    scores: np.ndarray,
+    present: np.ndarray | None = None,
+    threshold: float = PRESENCE_THRESHOLD,
 ) -> HandBoxes:
     """Find both hands.
 
@@ -190,14 +194,15 @@ def boxes_from_energy(
         energies: (2, h, w) for LEFT and RIGHT, 0..1, covering the whole picture.
         image_size: (H, W) of the picture.
         scores: (2,) as `hand_scores` gives them.
-        present: (2,) bool, the known answer; None to decide by PRESENCE_THRESHOLD.
+        present: (2,) bool, the known answer; None to decide by `threshold`.
+        threshold: smallest score of a hand.
 
     Returns:
-        Boxes in pixels of the picture. A hand is absent where its score is below PRESENCE_THRESHOLD or nothing survives
-        the opening.
+        Boxes in pixels of the picture. A hand is absent where its score is below `threshold` or nothing survives the
+        opening.
     """
     cell_px = np.array([image_size[1] / energies.shape[2], image_size[0] / energies.shape[1]] * 2)
-    expected = scores >= PRESENCE_THRESHOLD if present is None else present
+    expected = scores >= threshold if present is None else present
     boxes_px = np.full((2, 4), np.nan)
     for side, energy in enumerate(energies):
         box = energy_box(energy) if expected[side] else None

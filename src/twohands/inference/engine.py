@@ -15,6 +15,7 @@ import numpy as np
 
 from twohands.errors import CheckpointError
 from twohands.inference.int8 import quantise
+from twohands.inference.weights import WeightsCard
 from twohands.skeleton import N_JOINTS
 
 HEAVY_LAYERS = ("Convolution", "FullyConnected", "MatMul")
@@ -30,13 +31,14 @@ class Networks:
     Attributes:
         hand_seg_net: (B, 3, h, w) -> seg_logits (B, 3, h', w') for background, left, right, and energy_logits
             (B, 2, h', w') for left, right.
-        pose_net_2d: (B, 3, S, S) -> heatmaps (B, 21, M, M).
+        pose_net_2d: (B, 3, S, S) -> heatmaps (B, 21, M, M), and (B,) log-odds that a crop shows a hand of the side it
+            was cut for, 0 from a network that does not judge.
         pose_net_3d: (B, 21, M, M) -> canonical joints (B, 21, 3) of a left-like hand.
         runtime: what runs them and in which arithmetic, for the reader.
     """
 
     hand_seg_net: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
-    pose_net_2d: Callable[[np.ndarray], np.ndarray]
+    pose_net_2d: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
     pose_net_3d: Callable[[np.ndarray], np.ndarray]
     runtime: str = "functions"
 
@@ -111,15 +113,13 @@ class OpenVinoNetwork:
         return {"int8" if name in ("u8", "i8") else name for name in found}
 
 
-def load_networks(
-    folder: Path, threads: int = 0, int8: Mapping[str, Mapping[str, float]] = MappingProxyType({})
-) -> Networks:
+def load_networks(folder: Path, card: WeightsCard, threads: int = 0) -> Networks:
     """Compile the three networks of a preset's folder.
 
     Args:
         folder: of the preset.
+        card: what the preset's card says.
         threads: CPU threads; 0 leaves OpenVINO's choice, all cores.
-        int8: as on the card: networks that run in 8 bits -> peaks of their activations.
 
     Raises:
         CheckpointError: a file is missing, damaged, or holds another network.
@@ -131,11 +131,11 @@ def load_networks(
             input_channels=inputs,
             output_channels=outputs,
             threads=threads,
-            int8_peaks=int8.get(name, NO_PEAKS),
+            int8_peaks=card.int8.get(name, NO_PEAKS),
         )
 
     seg = compiled("hand_seg_net", 3, 3, 2)
-    pose_2d = compiled("pose_net_2d", 3, N_JOINTS)
+    pose_2d = compiled("pose_net_2d", 3, N_JOINTS, *([1] if card.judge else []))
     pose_3d = compiled("pose_net_3d", N_JOINTS, N_JOINTS)
     arithmetic = " and ".join(sorted(seg.arithmetic | pose_2d.arithmetic | pose_3d.arithmetic))
     runtime = f"OpenVINO on {seg.threads} thread{'s'[: seg.threads > 1]} in {arithmetic}"
@@ -144,7 +144,11 @@ def load_networks(
         seg_logits, energy_logits = seg(batch)
         return seg_logits, energy_logits
 
-    return Networks(hand_seg_net, lambda batch: pose_2d(batch)[0], lambda batch: pose_3d(batch)[0], runtime)
+    def pose_net_2d(batch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        heatmaps, *judged = pose_2d(batch)
+        return heatmaps, judged[0][:, 0] if judged else np.zeros(len(batch), np.float32)
+
+    return Networks(hand_seg_net, pose_net_2d, lambda batch: pose_3d(batch)[0], runtime)
 
 
 def _channels(port: object) -> int | None:

@@ -7,6 +7,7 @@ stage is studied alone and how the error budget is drawn up.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from twohands.geometry.boxes import apply_homography, box_iou, perspective_crop,
 from twohands.geometry.composition import compose_hand_input
 from twohands.geometry.projection import project_global, range_weights
 from twohands.geometry.segmentation import (
+    PRESENCE_THRESHOLD,
     HandBoxes,
     boxes_from_energy,
     hand_scores,
@@ -26,6 +28,7 @@ from twohands.geometry.segmentation import (
 )
 from twohands.inference.engine import Networks, load_networks
 from twohands.inference.read_out import read_joints
+from twohands.inference.sides import CANDIDATE_THRESHOLD, TURN_BELOW, assign_sides, corrected_masks
 from twohands.inference.weights import DEFAULT_PRESET, WeightsCard, preset_folder, read_card
 from twohands.skeleton import RIGHT
 from twohands.types import GlobalPose, HandCrop, HandPose, PinholeCamera, TwoHandPose
@@ -68,6 +71,52 @@ class StageTruth:
 NO_TRUTH = StageTruth()
 
 
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What PoseNet2D sees in B crops.
+
+    Attributes:
+        crops: B of them.
+        heatmaps: (B, 21, M, M).
+        joints_px: (B, 21, 2) pixels of the picture.
+        joint_scores: (B, 21) 0..1.
+        hand_logits: (B,) log-odds that a crop shows a hand of its side.
+    """
+
+    crops: list[HandCrop]
+    heatmaps: np.ndarray
+    joints_px: np.ndarray
+    joint_scores: np.ndarray
+    hand_logits: np.ndarray
+
+    @property
+    def sides(self) -> np.ndarray:
+        """(B,) LEFT or RIGHT of every crop."""
+        return np.array([crop.side for crop in self.crops], int)
+
+    def rows(self, chosen: Sequence[int]) -> Look:
+        """Some of the crops."""
+        rows = np.asarray(chosen, int)
+        return Look([self.crops[i] for i in rows], *(values[rows] for values in self._arrays()))
+
+    def replaced(self, rows: np.ndarray, other: Look) -> Look:
+        """The same, with another look at some of the crops."""
+        order = np.arange(len(self.crops))
+        order[rows] = len(order) + np.arange(len(rows))
+        return Look.joined([self, other]).rows(order.tolist())
+
+    @staticmethod
+    def joined(looks: Sequence[Look]) -> Look:
+        """One after the other; at least one."""
+        if len(looks) == 1:
+            return looks[0]
+        arrays = zip(*(look._arrays() for look in looks), strict=True)
+        return Look([crop for look in looks for crop in look.crops], *(np.concatenate(parts) for parts in arrays))
+
+    def _arrays(self) -> tuple[np.ndarray, ...]:
+        return self.heatmaps, self.joints_px, self.joint_scores, self.hand_logits
+
+
 class HandEstimator:
     """Both hands in metres from one picture.
 
@@ -79,6 +128,7 @@ class HandEstimator:
     def __init__(self, networks: Networks, card: WeightsCard) -> None:
         self.networks = networks
         self.card = card
+        self.threshold = CANDIDATE_THRESHOLD if card.judge else PRESENCE_THRESHOLD
 
     @classmethod
     def from_preset(cls, preset: str | Path = DEFAULT_PRESET, threads: int = 0) -> HandEstimator:
@@ -93,7 +143,7 @@ class HandEstimator:
         """
         folder = preset_folder(preset)
         card = read_card(folder)
-        return cls(load_networks(folder, threads, card.int8), card)
+        return cls(load_networks(folder, card, threads), card)
 
     def estimate(
         self,
@@ -123,17 +173,16 @@ class HandEstimator:
         """
         _check(image, camera, hand_length_m)
         masks, boxes = self.segment(image, truth)
-        sides = [int(side) for side in np.flatnonzero(boxes.present)]
         hands = [HandPose(present=False), HandPose(present=False)]
-        if sides:
-            boxes_px = boxes.boxes_px[sides]
-            crops, heatmaps, joints_px, joint_scores = self.find_joints(image, masks, boxes_px, sides, camera, truth)
-            if truth.boxes_px is None:
-                boxes.boxes_px[sides] = joint_boxes(joints_px, image.shape[:2], boxes_px)
-            canonical = self.lift(heatmaps, crops, truth)
-            pose = self.place(canonical, joints_px, joint_scores, camera, np.broadcast_to(hand_length_m, (2,))[sides])
+        if boxes.present.any():
+            masks, boxes, look = self.find_joints(image, masks, boxes, camera, truth)
+        if boxes.present.any():
+            sides = look.sides
+            canonical = self.lift(look, truth)
+            lengths_m = np.broadcast_to(hand_length_m, (2,))[sides]
+            pose = self.place(canonical, look.joints_px, look.joint_scores, camera, lengths_m)
             for i, side in enumerate(sides):
-                hands[side] = _hand_pose(boxes, side, joints_px[i], joint_scores[i], canonical[i], pose, i)
+                hands[side] = _hand_pose(boxes, look, canonical[i], pose, i)
         return TwoHandPose(hands[0], hands[1], camera, masks, index, time_s)
 
     def segment(self, image: np.ndarray, truth: StageTruth = NO_TRUTH) -> tuple[np.ndarray, HandBoxes]:
@@ -147,7 +196,8 @@ class HandEstimator:
         if masks is None or boxes is None:
             seg_logits, energies = self.hand_maps(image)
             if boxes is None:
-                boxes = boxes_from_energy(energies, size, hand_scores(energies, seg_logits), truth.present)
+                scores = hand_scores(energies, seg_logits)
+                boxes = boxes_from_energy(energies, size, scores, truth.present, self.threshold)
             if masks is None:
                 masks = masks_from_logits(seg_logits, size, boxes.present)
         return masks, boxes
@@ -162,43 +212,87 @@ class HandEstimator:
         self,
         image: np.ndarray,
         masks: np.ndarray,
-        boxes_px: np.ndarray,
-        sides: list[int],
+        boxes: HandBoxes,
         camera: PinholeCamera,
         truth: StageTruth = NO_TRUTH,
-    ) -> tuple[list[HandCrop], np.ndarray, np.ndarray, np.ndarray]:
-        """Stages 2 and 3 with a second look, see `SECOND_LOOK_IOU`; none where truth was given.
+    ) -> tuple[np.ndarray, HandBoxes, Look]:
+        """Stages 2 and 3: look at every box, decide whose hands they are (`inference.sides`), and look again where it
+        helps (`SECOND_LOOK_IOU`). With true boxes, maps or joints it looks just once, with a true `present` it does not
+        decide.
 
         Args:
             image, masks: (H, W, 3) and (H, W).
-            boxes_px: (B, 4) estimated or true boxes.
-            sides: LEFT or RIGHT of each.
+            boxes: estimated or true ones.
             camera: of the image.
             truth: what replaces stages.
 
         Returns:
-            Of every hand, from its last look: crop, heatmaps (B, 21, M, M), joints in the picture (B, 21, 2), scores
-            (B, 21).
+            Masks and boxes as they came, or corrected; and the last look at every hand.
         """
+        look = self.look(image, masks, boxes.boxes_px, np.flatnonzero(boxes.present), camera, truth)
+        if truth.boxes_px is not None or truth.heatmaps is not None or truth.joints_px is not None:
+            return masks, boxes, look
+        again = np.zeros(len(look.sides), bool)
+        if self.card.judge and truth.present is None:
+            source, scores, look = self.judge(boxes, look)
+            corrected = corrected_masks(masks, source, boxes.boxes_px) if truth.masks is None else masks
+            again = np.full(len(look.sides), corrected is not masks)
+            boxes_px = np.where((source >= 0)[:, None], boxes.boxes_px[source], np.nan)
+            masks, boxes = corrected, HandBoxes(boxes_px, source >= 0, scores)
+            if not len(look.sides):
+                return masks, boxes, look
+        boxes_px = boxes.boxes_px[look.sides]
+        found_px = joint_boxes(look.joints_px, image.shape[:2], boxes_px)
+        again |= box_iou(boxes_px, found_px) < SECOND_LOOK_IOU
+        boxes.boxes_px[look.sides] = found_px
+        if again.any():
+            second = self.look(image, masks, boxes.boxes_px, look.sides[again], camera)
+            look = look.replaced(np.flatnonzero(again), second)
+            boxes.boxes_px[look.sides] = joint_boxes(look.joints_px, image.shape[:2], boxes_px)
+        return masks, boxes, look
 
-        def look(boxes_px: np.ndarray, sides: list[int]) -> tuple[list[HandCrop], np.ndarray, np.ndarray, np.ndarray]:
-            crops = [
-                self.crop(image, masks, box_px, side, camera) for box_px, side in zip(boxes_px, sides, strict=True)
-            ]
-            heatmaps = self.locate(crops, truth)
-            return crops, heatmaps, *self.read_out(heatmaps, crops, truth)
+    def look(
+        self,
+        image: np.ndarray,
+        masks: np.ndarray,
+        boxes_px: np.ndarray,
+        sides: np.ndarray,
+        camera: PinholeCamera,
+        truth: StageTruth = NO_TRUTH,
+    ) -> Look:
+        """Crop, PoseNet2D and read-out of the given sides' boxes, boxes_px (2, 4)."""
+        crops = [self.crop(image, masks, boxes_px[side], int(side), camera) for side in sides]
+        return self.look_at(crops, truth)
 
-        crops, heatmaps, joints_px, scores = look(boxes_px, sides)
-        if truth.boxes_px is None and truth.heatmaps is None and truth.joints_px is None:
-            found_px = joint_boxes(joints_px, image.shape[:2], boxes_px)
-            again = np.flatnonzero(box_iou(boxes_px, found_px) < SECOND_LOOK_IOU)
-            if len(again):
-                second = look(found_px[again], [sides[i] for i in again])
-                for i, crop in zip(again, second[0], strict=True):
-                    crops[i] = crop
-                heatmaps, joints_px, scores = heatmaps.copy(), joints_px.copy(), scores.copy()
-                heatmaps[again], joints_px[again], scores[again] = second[1:]
-        return crops, heatmaps, joints_px, scores
+    def look_at(self, crops: list[HandCrop], truth: StageTruth = NO_TRUTH) -> Look:
+        """PoseNet2D and read-out of crops."""
+        heatmaps, hand_logits = self.locate(crops, truth)
+        joints_px, joint_scores = self.read_out(heatmaps, crops, truth)
+        return Look(crops, heatmaps, joints_px, joint_scores, hand_logits)
+
+    def judge(self, boxes: HandBoxes, look: Look) -> tuple[np.ndarray, np.ndarray, Look]:
+        """Which candidate is which hand.
+
+        Args:
+            boxes: the candidates, with HandSegNet's scores of both sides.
+            look: at the candidates.
+
+        Returns:
+            source (2,) as `assign_sides` gives it; scores (2,) 0..1, HandSegNet's for absent hands; and the look at the
+            hands that remain, in the order LEFT, RIGHT.
+        """
+        own, turned = np.full((2, 2), np.nan)
+        own[look.sides] = look.hand_logits
+        looks = {(side, side): look.rows([i]) for i, side in enumerate(look.sides)}
+        doubtful = np.flatnonzero(look.hand_logits < TURN_BELOW)
+        if len(doubtful):
+            mirrored = self.look_at([mirror_crop(look.crops[i]) for i in doubtful])
+            turned[look.sides[doubtful]] = mirrored.hand_logits
+            looks |= {(1 - side, side): mirrored.rows([i]) for i, side in enumerate(look.sides[doubtful])}
+        source, answer = assign_sides(boxes.scores, own, turned)
+        scores = np.where(source >= 0, 1 / (1 + np.exp(-np.nan_to_num(answer))), boxes.scores)
+        remaining = [looks[side, source[side]] for side in np.flatnonzero(source >= 0)]
+        return source, scores, Look.joined(remaining) if remaining else look.rows([])
 
     def crop(
         self, image: np.ndarray, masks: np.ndarray, box_px: np.ndarray, side: int, camera: PinholeCamera
@@ -212,10 +306,10 @@ class HandEstimator:
         composed = compose_hand_input(image, masks, image_from_crop, side, size, self.card.background)
         return HandCrop(composed, image_from_crop, side, mirrored=side == RIGHT)
 
-    def locate(self, crops: list[HandCrop], truth: StageTruth = NO_TRUTH) -> np.ndarray:
-        """Stage 3, PoseNet2D: both hands in one batch -> heatmaps (B, 21, M, M)."""
+    def locate(self, crops: list[HandCrop], truth: StageTruth = NO_TRUTH) -> tuple[np.ndarray, np.ndarray]:
+        """Stage 3, PoseNet2D: both hands in one batch -> heatmaps (B, 21, M, M), log-odds (B,) that they are hands."""
         if truth.heatmaps is not None:
-            return truth.heatmaps[[crop.side for crop in crops]]
+            return truth.heatmaps[[crop.side for crop in crops]], np.zeros(len(crops))
         return self.networks.pose_net_2d(network_input(np.stack([crop.image for crop in crops])))
 
     def read_out(
@@ -230,12 +324,12 @@ class HandEstimator:
             scores = np.ones_like(scores)
         return joints_px, scores
 
-    def lift(self, heatmaps: np.ndarray, crops: list[HandCrop], truth: StageTruth = NO_TRUTH) -> np.ndarray:
+    def lift(self, look: Look, truth: StageTruth = NO_TRUTH) -> np.ndarray:
         """Stage 4, PoseNet3D: heatmaps -> canonical joints (B, 21, 3) of the real, unmirrored hands."""
         if truth.canonical is not None:
-            return truth.canonical[[crop.side for crop in crops]]
-        unmirror = np.array([[-1.0 if crop.mirrored else 1.0, 1.0, 1.0] for crop in crops])
-        return self.networks.pose_net_3d(heatmaps).astype(np.float64) * unmirror[:, None, :]
+            return truth.canonical[look.sides]
+        unmirror = np.array([[-1.0 if crop.mirrored else 1.0, 1.0, 1.0] for crop in look.crops])
+        return self.networks.pose_net_3d(look.heatmaps).astype(np.float64) * unmirror[:, None, :]
 
     def place(
         self,
@@ -248,6 +342,14 @@ class HandEstimator:
         """Stage 5: canonical joints (B, 21, 3) and joints in pixels (B, 21, 2) -> metres in camera space."""
         weights = range_weights(joint_scores)
         return project_global(canonical, joints_px, camera, lengths_m, method=METHOD, weights=weights)
+
+
+def mirror_crop(crop: HandCrop) -> HandCrop:
+    """The crop as that of a hand of the other side."""
+    size = crop.image.shape[1]
+    from_mirrored = np.array([[-1.0, 0.0, size], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    image = np.ascontiguousarray(crop.image[:, ::-1])
+    return HandCrop(image, crop.image_from_crop @ from_mirrored, 1 - crop.side, mirrored=not crop.mirrored)
 
 
 def joint_boxes(joints_px: np.ndarray, image_size: tuple[int, int], otherwise_px: np.ndarray) -> np.ndarray:
@@ -290,23 +392,15 @@ def _true_boxes(truth: StageTruth) -> HandBoxes | None:
     return HandBoxes(np.asarray(truth.boxes_px, np.float64), present, np.where(present, 1.0, 0.0))
 
 
-def _hand_pose(
-    boxes: HandBoxes,
-    side: int,
-    joints_px: np.ndarray,
-    joint_scores: np.ndarray,
-    canonical: np.ndarray,
-    pose: GlobalPose,
-    i: int,
-) -> HandPose:
-    """Gather one hand's results; row i of the batch is this side."""
-    valid = bool(pose.valid[i])
+def _hand_pose(boxes: HandBoxes, look: Look, canonical: np.ndarray, pose: GlobalPose, i: int) -> HandPose:
+    """Gather one hand's results, row i of the batch."""
+    side, valid = look.crops[i].side, bool(pose.valid[i])
     return HandPose(
         present=True,
         score=float(boxes.scores[side]),
         box_px=boxes.boxes_px[side],
-        joints_px=joints_px,
-        joint_scores=joint_scores,
+        joints_px=look.joints_px[i],
+        joint_scores=look.joint_scores[i],
         canonical=canonical,
         joints_m=np.asarray(pose.joints_m[i]) if valid else None,
         range_m=float(pose.radius_m[i]) if valid else None,

@@ -3,7 +3,8 @@
 A preset is a folder::
 
     <preset>/hand_seg_net.onnx   (B, 3, h, w) -> seg_logits (B, 3, h', w'), energy_logits (B, 2, h', w')
-             pose_net_2d.onnx    (B, 3, S, S) -> heatmaps (B, 21, M, M), as the third network takes them
+             pose_net_2d.onnx    (B, 3, S, S) -> heatmaps (B, 21, M, M), as the third network takes them; if it judges
+                                 its crops, also hand_logit (B, 1)
              pose_net_3d.onnx    (B, 21, M, M) -> canonical (B, 21, 3), left-like hand
              card.json
 
@@ -49,6 +50,7 @@ class WeightsCard:
         crop_margin: crop side over the larger side of the hand's box.
         heatmap_decode: "subpixel" for maps with linear output, "softargmax" for probability maps.
         background: brightness of the background in the crop, 0..1; 0 where the card does not say.
+        judge: whether PoseNet2D also says if its crops show hands.
         int8: networks that run in 8 bits -> name of every ReLU -> largest value after it (`inference.int8`).
     """
 
@@ -59,6 +61,7 @@ class WeightsCard:
     crop_margin: float
     heatmap_decode: str
     background: float = 0.0
+    judge: bool = False
     int8: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -98,6 +101,7 @@ class WeightsCard:
                 crop_margin=float(pose["crop_margin"]),
                 heatmap_decode=str(pose["heatmap_decode"]),
                 background=float(pose.get("background", 0.0)),
+                judge=bool(pose.get("judge", False)),
                 int8=_peaks(card.get("int8", {})),
             )
         except KeyError as error:

@@ -33,6 +33,7 @@ class EncoderDecoder(nn.Module):
         if finest not in (2, 4):
             raise ValueError(f"finest stride must be 2 or 4, got {finest}")
         stem, *sizes = (scaled(c, width) for c in (STEM_CHANNELS, *CHANNELS))
+        self.bottom_channels = sizes[-1]
         self.stem = nn.ModuleList([conv_bn_relu(3, stem, 5, stride=2), conv_bn_relu(stem, sizes[0], 3, stride=2)])
         self.down = nn.ModuleList([nn.Sequential(BasicBlock(sizes[0], sizes[0]), BasicBlock(sizes[0], sizes[0]))])
         for wide, narrow in itertools.pairwise(sizes):
@@ -46,11 +47,20 @@ class EncoderDecoder(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """(B, 3, H, W), H and W multiples of 32, to (B, outputs, H / finest, W / finest)."""
+        return self.decode(self.encode(x))
+
+    def encode(self, x: Tensor) -> list[Tensor]:
+        """(B, 3, H, W) to one (B, C, h, w) for strides 2, 4, 8, 16 and 32."""
         encoded: list[Tensor] = []
         for layer in (*self.stem, *self.down):
             x = layer(x)
             encoded.append(x)
         encoded.pop(1)  # the second half of the stem has the size of the first level
+        return encoded
+
+    def decode(self, encoded: list[Tensor]) -> Tensor:
+        """What `encode` gave to (B, outputs, H / finest, W / finest)."""
+        x = encoded[-1]
         for skip, lateral, layer in zip(encoded[-2::-1], self.lateral, self.up, strict=False):
             x = nn.functional.interpolate(lateral(x), scale_factor=2.0, mode="nearest")
             x = layer(torch.relu(x + skip))

@@ -38,6 +38,8 @@ class PoseNet2DConfig:
     """What the maps are: linear values trained with MSE, or logits of a distribution over the cells."""
     sigma: float = 2.0
     """Standard deviation of the target Gaussian at the root's depth, in cells."""
+    judge: bool = False
+    """Also say whether the crop shows a hand of the side it was cut for (ours, encoder-decoder only)."""
 
     def __post_init__(self) -> None:
         if self.variant not in ("cpm9", "vgg", "encoder-decoder"):
@@ -49,6 +51,8 @@ class PoseNet2DConfig:
             raise InputError(f"pose_net_2d: {self.variant} needs crop_size {expected}, got {self.crop_size}")
         if self.stages < 1 or (self.variant == "encoder-decoder" and self.stages != 1):
             raise InputError(f"pose_net_2d: {self.variant} cannot have {self.stages} stages")
+        if self.judge and self.variant != "encoder-decoder":
+            raise InputError(f"pose_net_2d: {self.variant} cannot judge its crops")
         if not (self.width > 0 and self.sigma > 0):
             raise InputError(f"pose_net_2d: width and sigma must be positive, got {self.width} and {self.sigma}")
 
@@ -117,17 +121,26 @@ class PoseMachine(nn.Module):
 
 
 class PoseNet2D(nn.Module):
-    """Heatmaps of the 21 joints of one left-like hand."""
+    """Heatmaps of the 21 joints of one left-like hand, and whether there is one.
+
+    The judgement is ours. HandSegNet sees a hand at a third of the crop's resolution; what looks like a hand to it may
+    be an ear, or a right hand where it says left. The paper's only test is the energy's peak.
+    """
 
     def __init__(self, config: PoseNet2DConfig) -> None:
         super().__init__()
         self.config = config
         slim = config.variant == "encoder-decoder"
         self.net = EncoderDecoder(N_JOINTS, config.width) if slim else PoseMachine(config)
+        self.judge = None
+        if isinstance(self.net, EncoderDecoder) and config.judge:
+            self.judge = nn.Sequential(nn.Linear(self.net.bottom_channels, 64), nn.ReLU(), nn.Linear(64, 1))
         initialise(self)
         for layer in self.modules():
             if isinstance(layer, nn.Conv2d) and layer.out_channels == N_JOINTS:
                 calm_output(layer)
+        if self.judge is not None:
+            calm_output(self.judge[-1])  # type: ignore[arg-type]
 
     def forward(self, x: Tensor) -> list[Tensor]:
         """Raw maps, one per stage, the last the best.
@@ -138,8 +151,23 @@ class PoseNet2D(nn.Module):
         Returns:
             List of (B, 21, 32, 32): map values ("linear") or logits ("softmax").
         """
-        outputs = self.net(x)
-        return [outputs] if isinstance(outputs, Tensor) else outputs
+        return self.judged(x)[0]
+
+    def judged(self, x: Tensor) -> tuple[list[Tensor], Tensor | None]:
+        """Raw maps as `forward` gives them, and how sure it is of its crops.
+
+        Args:
+            x: as for `forward`.
+
+        Returns:
+            Maps; and (B, 1) log-odds that the crop shows a hand of the side that it was cut for (a left-like one), None
+            for a network that does not judge.
+        """
+        if not isinstance(self.net, EncoderDecoder):
+            return self.net(x), None
+        encoded = self.net.encode(x)
+        hand_logit = None if self.judge is None else self.judge(encoded[-1].mean(dim=(2, 3)))
+        return [self.net.decode(encoded)], hand_logit
 
     def probabilities(self, maps: Tensor) -> Tensor:
         """Softmax over the cells of each map, (B, 21, 32, 32), sum 1 per joint."""

@@ -46,7 +46,9 @@ PAPER = NetworkConfigs()
 
 SLIM = NetworkConfigs(
     HandSegNetConfig("encoder-decoder", height=192, width_px=320),
-    PoseNet2DConfig("encoder-decoder", crop_size=128, stages=1, width=1.25, activation="softmax", sigma=1.5),
+    PoseNet2DConfig(
+        "encoder-decoder", crop_size=128, stages=1, width=1.25, activation="softmax", sigma=1.5, judge=True
+    ),
     PoseNet3DConfig(width=0.5, fc_relu=True),
 )
 """Ours: small enough to learn and to run on two CPU cores."""

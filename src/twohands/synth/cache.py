@@ -34,7 +34,7 @@ from twohands.types import HandSample, PinholeCamera
 _VARIANT_STREAM = 1 << 41
 FORMAT = "frames-2"
 """Of the manifest; "frames-1" drew the scenes of a static set of the same seed, and is read just the same."""
-GLARE_RATE = 0.25
+GLARE_RATE = 0.1
 """Share of arms lit so brightly that parts of them are white, as in pictures of Ego3DHands."""
 
 
@@ -145,7 +145,7 @@ def vary_arms(rgb: np.ndarray, labels: np.ndarray, rng: np.random.Generator) -> 
     """
     out = rgb.copy()
     for first in (1, 8):
-        glare = rng.uniform(0.2, 1.3) if rng.random() < GLARE_RATE else 0.0
+        glare = rng.uniform(0.2, 1.2) if rng.random() < GLARE_RATE else 0.0
         warmth = rng.normal(0, 0.09)  # lamps differ between blue and yellow much more than towards green
         tint = np.array([warmth, 0.0, -warmth]) + rng.normal(0, 0.03, 3)
         gain = np.exp(rng.normal(0.05, 0.28) + glare + tint)

@@ -18,9 +18,20 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, Sampler
 
-from twohands.datasets.targets import PoseTarget, Segmentation, pose_target, segmentation_target
+from twohands.datasets.targets import (
+    PoseTarget,
+    Segmentation,
+    false_hand,
+    hand_box,
+    hand_classes,
+    mirrored_hand,
+    pose_target,
+    segmentation_target,
+)
 from twohands.errors import InputError
 from twohands.geometry.segmentation import boxes_from_energy, hand_scores, letterbox, masks_from_logits, network_input
+from twohands.inference.engine import load_networks
+from twohands.inference.weights import read_card
 from twohands.models.blocks import fold_batch_norm
 from twohands.models.checkpoint import load_network
 from twohands.models.hand_seg_net import HandSegNetConfig
@@ -111,28 +122,21 @@ class Segmenter:
     """A trained HandSegNet, as the pose stages will meet it: the network and the reading of its maps.
 
     Args:
-        checkpoint: written by the trainer.
+        checkpoint: written by the trainer, or the ONNX file of a preset, which runs as in the pipeline and takes less
+            than half the time.
 
     Raises:
         CheckpointError: missing, damaged, or of another network.
     """
 
     def __init__(self, checkpoint: Path) -> None:
-        net = load_network("hand_seg_net", checkpoint).eval()
-        config = cast(HandSegNetConfig, net.config)
-        self.size = (config.height, config.width_px)
-        fold_batch_norm(net)
-        self.net = net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.size, self._maps = _shipped(checkpoint) if checkpoint.suffix == ".onnx" else _trained(checkpoint)
 
-    @torch.inference_mode()
     def __call__(self, images: Sequence[np.ndarray]) -> list[Segmentation]:
         """Masks and boxes of pictures, each (H, W, 3) uint8."""
         canvases, places = zip(*(letterbox(image, self.size) for image in images), strict=True)
-        inputs = torch.from_numpy(network_input(np.stack(canvases))).contiguous(memory_format=torch.channels_last)
-        with torch.autocast("cpu", torch.bfloat16):
-            logits, energies = self.net(inputs)
-        # Back to one plane after the other: reductions over planes of interleaved channels are slow.
-        logits, energies = (np.ascontiguousarray(m.float().numpy()) for m in (logits, torch.sigmoid(energies.float())))
+        logits, energy_logits = self._maps(network_input(np.stack(canvases)))
+        energies = 1 / (1 + np.exp(-energy_logits))
         found = []
         for i, image in enumerate(images):
             seg_logits, energy = places[i].content(logits[i]), places[i].content(energies[i])
@@ -142,13 +146,41 @@ class Segmenter:
         return found
 
 
+HandMaps = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""HandSegNet: (B, 3, h, w) -> seg_logits (B, 3, h, w), energy_logits (B, 2, h, w)."""
+
+
+def _trained(checkpoint: Path) -> tuple[tuple[int, int], HandMaps]:
+    """Input size (height, width) and network of a file that the trainer wrote."""
+    net = load_network("hand_seg_net", checkpoint).eval()
+    config = cast(HandSegNetConfig, net.config)
+    fold_batch_norm(net)
+    net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+
+    @torch.inference_mode()
+    def maps(pictures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        inputs = torch.from_numpy(pictures).contiguous(memory_format=torch.channels_last)
+        with torch.autocast("cpu", torch.bfloat16):
+            logits, energy_logits = net(inputs)
+        # Back to one plane after the other: reductions over planes of interleaved channels are slow.
+        return np.ascontiguousarray(logits.float().numpy()), np.ascontiguousarray(energy_logits.float().numpy())
+
+    return (config.height, config.width_px), maps
+
+
+def _shipped(file: Path) -> tuple[tuple[int, int], HandMaps]:
+    """Input size (height, width) and network of a preset, on one thread."""
+    card = read_card(file.parent)
+    return card.seg_input_size, load_networks(file.parent, card, threads=1).hand_seg_net
+
+
 def pose_batch(
     samples: Sequence[HandSample],
     config: TrainConfig,
     rngs: Rngs,
     segment: Segment | None = None,
 ) -> Batch:
-    """Crops for PoseNet2D and PoseNet3D: every usable hand of the pictures.
+    """Crops for PoseNet2D and PoseNet3D: every usable hand of the pictures, and what a judge must learn to refuse.
 
     Args:
         samples: labelled pictures.
@@ -158,10 +190,11 @@ def pose_batch(
             with; None for true ones.
 
     Returns:
-        The fields of `PoseTarget`, stacked over N hands, and lot (N,) float32, a random number in [0, 1) for each; N
+        The fields of `PoseTarget`, stacked over N crops, and lot (N,) float32, a random number in [0, 1) for each; N
         may be 0.
     """
     size = config.networks.pose_net_2d.crop_size
+    judged = config.networks.pose_net_2d.judge
     targets: list[PoseTarget] = []
     lots: list[float] = []
     chosen = [i for i in range(len(samples)) if not rngs or rngs[i].random() < config.augment.predicted]
@@ -169,6 +202,8 @@ def pose_batch(
     if segment is not None and chosen:
         predicted = dict(zip(chosen, segment([samples[i].image for i in chosen]), strict=True))
     for i, sample in enumerate(samples):
+        rng = rngs[i] if rngs else None
+        before = len(targets)
         for side in (LEFT, RIGHT):
             target = pose_target(
                 sample,
@@ -178,12 +213,16 @@ def pose_batch(
                 photometric=config.augment.photometric,
                 masks=config.augment.masks,
                 predicted=predicted.get(i),
-                rng=rngs[i] if rngs else None,
+                rng=rng,
             )
+            if target is not None and judged and rng is not None and rng.random() < config.augment.mirrored:
+                target = mirrored_hand(target)
             if target is not None:
                 targets.append(target)
-        new = len(targets) - len(lots)
-        lots += rngs[i].random(new).tolist() if rngs else [0.0] * new
+        if judged:
+            targets += _false_hands(sample, samples[i - 1], predicted.get(i), config, rng)
+        new = len(targets) - before
+        lots += rng.random(new).tolist() if rng is not None else [0.0] * new
 
     def stacked(name: str, *shape: int, kind: type = np.float32) -> Tensor:
         return torch.from_numpy(np.array([getattr(t, name) for t in targets], kind).reshape(len(targets), *shape))
@@ -198,8 +237,32 @@ def pose_batch(
         "image_from_crop": stacked("image_from_crop", 3, 3),
         "distance": stacked("distance"),
         "side": stacked("side", kind=np.int64),
+        "hand": stacked("hand"),
         "lot": torch.tensor(lots, dtype=torch.float32),
     }
+
+
+def _false_hands(
+    sample: HandSample,
+    other: HandSample,
+    predicted: Segmentation | None,
+    config: TrainConfig,
+    rng: np.random.Generator | None,
+) -> list[PoseTarget]:
+    """Crops of a picture where no such hand is: what HandSegNet invented; in a picture without hands also the masks of
+    another picture's hands."""
+    found: list[tuple[int, np.ndarray, np.ndarray]] = []
+    if predicted is not None:
+        absent = np.isfinite(predicted.boxes_px).all(axis=1) & ~np.asarray(sample.present)
+        found += [(int(side), predicted.classes, predicted.boxes_px[side]) for side in np.flatnonzero(absent)]
+    if not any(sample.present) and other.labels is not None and other.labels.shape == sample.image.shape[:2]:
+        boxes = [(side, hand_box(other, side)) for side in (LEFT, RIGHT)]
+        found += [(side, hand_classes(other.labels), box) for side, box in boxes if box is not None]
+    size, photometric = config.networks.pose_net_2d.crop_size, config.augment.photometric
+    return [
+        false_hand(sample.image, classes, box, sample.camera, side, size, config.crop, photometric=photometric, rng=rng)
+        for side, classes, box in found
+    ]
 
 
 class BatchBuilder:

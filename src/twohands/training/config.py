@@ -43,7 +43,7 @@ class DataConfig:
     procedural: float = 0.3
     """Share of procedural backgrounds among the photographs; the folders share the rest equally."""
     empty: float = 0.04
-    """Share of pictures from cached frames that show no hand, for HandSegNet; the pose stages see none."""
+    """Share of pictures from cached frames that show no hand, for HandSegNet and for PoseNet2D's judge."""
     variants: int = 20
     """Pictures per cached frame, each with its own background and light."""
     segmentation: str = ""
@@ -63,6 +63,8 @@ class AugmentConfig:
     """Imperfect masks (pose stages)."""
     predicted: float = 0.7
     """Share of pictures cropped by HandSegNet's own masks and boxes where there are any (pose stages)."""
+    mirrored: float = 0.0
+    """Share of crops shown mirrored, as hands of the wrong side (pose stages with a judge)."""
     zoom: ZoomConfig = field(default_factory=ZoomConfig)
     """Scale, shift, flip (segmentation stage)."""
 
@@ -93,6 +95,8 @@ class LossConfig:
     """Weight of L_proj."""
     heatmap_along: float = 0.0
     """Stage pose_net_3d: weight of PoseNet2D's own loss while it is trained along."""
+    judge: float = 1.0
+    """Weight of the loss of PoseNet2D's judge, where it has one."""
 
     def __post_init__(self) -> None:
         _check_choices(self)
@@ -286,6 +290,7 @@ def recipe(name: RecipeName, stage: StageName) -> TrainConfig:
                 brightness=0.1, contrast=0.25, gamma=0.5, hue=0.05, saturation=0.3, blur=0.8, noise=0.04, texture=0.12
             ),
             masks=MaskConfig(coarse=0.5, border=0.03, holes=0.15, spill=0.2, confusion=0.15, no_arm=0.15),
+            mirrored=0.12,
             zoom=ZoomConfig(zoom=0.4, shift=0.1, flip=0.5),
         ),
         loss=LossConfig(

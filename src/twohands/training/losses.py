@@ -52,6 +52,17 @@ def energy_loss(logits: Tensor, energy: Tensor, kind: Literal["mse", "cross-entr
     return functional.binary_cross_entropy_with_logits(logits.float(), energy)
 
 
+def judge_loss(logits: Tensor, hand: Tensor) -> Tensor:
+    """Binary cross-entropy of the judgement whether a crop shows the hand that it was cut for, mean over crops.
+
+    Args:
+        logits: (B, 1).
+        hand: (B,), 1 or 0.
+    """
+    wrong = functional.binary_cross_entropy_with_logits(logits[:, 0].float(), hand, reduction="none")
+    return weighted_mean(wrong, torch.ones_like(hand))
+
+
 def heatmap_mse(
     outputs: Sequence[Tensor], target: Tensor, weight: Tensor, reduction: Literal["mean", "sum_map"] = "mean"
 ) -> Tensor:

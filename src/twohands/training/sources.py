@@ -20,12 +20,11 @@ SYNTHETIC_FRAME = (480, 270)
 """Picture size of the built-in source; the networks' inputs are smaller still."""
 
 
-def open_source(spec: DataConfig, *, with_empty: bool = False) -> tuple[SampleSource, SampleSource]:
+def open_source(spec: DataConfig) -> tuple[SampleSource, SampleSource]:
     """Training and held-out pictures.
 
     Args:
         spec: `source` names folders, of instances, of tar shards or of cached frames, or is "synthetic".
-        with_empty: whether cached frames also give pictures without hands (`spec.empty`).
 
     Returns:
         (training, validation); the validation pictures come from the end of every source, at most a tenth of it, and
@@ -38,12 +37,12 @@ def open_source(spec: DataConfig, *, with_empty: bool = False) -> tuple[SampleSo
     if spec.source == SYNTHETIC:
         return split(_synthetic(spec), spec.validation)
     names = [name.strip() for name in spec.source.split(",")]
-    pairs = [_open_folder(name, spec, spec.validation // len(names), with_empty) for name in names]
+    pairs = [_open_folder(name, spec, spec.validation // len(names)) for name in names]
     training, held_out = zip(*pairs, strict=True)
     return Joined(training), Joined(held_out)
 
 
-def _open_folder(name: str, spec: DataConfig, validation: int, with_empty: bool) -> tuple[SampleSource, SampleSource]:
+def _open_folder(name: str, spec: DataConfig, validation: int) -> tuple[SampleSource, SampleSource]:
     folder = Path(name)
     if not name or not folder.is_dir():
         raise InputError(f"training data '{name}': expected a folder or '{SYNTHETIC}'")
@@ -55,9 +54,7 @@ def _open_folder(name: str, spec: DataConfig, validation: int, with_empty: bool)
         frames = len(FrameCache(folder).indices)
         cut = frames - min(validation, frames // 10)
         return (
-            FrameCache(
-                folder, backgrounds, (0, cut), variants=spec.variants, empty_rate=spec.empty if with_empty else 0.0
-            ),
+            FrameCache(folder, backgrounds, (0, cut), variants=spec.variants, empty_rate=spec.empty),
             FrameCache(folder, backgrounds, (cut, frames)),
         )
 

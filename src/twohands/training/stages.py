@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from twohands.geometry.boxes import apply_homography
 from twohands.geometry.heatmaps import decode_softargmax, decode_subpixel, encode_energy, encode_heatmaps
 from twohands.models.checkpoint import load_network, network_name
 from twohands.models.hand_seg_net import HandSegNet
-from twohands.models.pose_net_2d import MAP_SIZE, PoseNet2D
+from twohands.models.pose_net_2d import MAP_SIZE, PoseNet2D, PoseNet2DConfig
 from twohands.models.pose_net_3d import PoseNet3D
 from twohands.training import losses
 from twohands.training.batches import Batch
@@ -109,6 +110,13 @@ def heatmap_losses(net: PoseNet2D, outputs: Sequence[Tensor], batch: Batch, conf
     return result
 
 
+def judge_losses(hand_logit: Tensor | None, batch: Batch, config: TrainConfig) -> Losses:
+    """The loss of PoseNet2D's judge; nothing where it has none."""
+    if hand_logit is None:
+        return {}
+    return {"judge": config.loss.judge * losses.judge_loss(hand_logit, batch["hand"])}
+
+
 def read_out(net: PoseNet2D, heatmaps: Tensor) -> Tensor:
     """Joints (N, 21, 2) in crop pixels from `PoseNet2D.heatmaps`, read as the maps were trained."""
     decode = decode_softargmax if net.config.activation == "softmax" else decode_subpixel
@@ -116,13 +124,27 @@ def read_out(net: PoseNet2D, heatmaps: Tensor) -> Tensor:
 
 
 class _Errors2D:
-    """Collects pixel errors of 2D joints over batches."""
+    """Collects pixel errors of 2D joints, and the judge's, over batches."""
 
     def __init__(self) -> None:
         self.crop: list[Tensor] = []
         self.image: list[Tensor] = []
+        self.judged: list[Tensor] = []
 
-    def add(self, predicted: Tensor, batch: Batch) -> None:
+    def look(self, net: PoseNet2D, batch: Batch) -> Tensor:
+        """Heatmaps of a batch; its errors are counted."""
+        image = normalised(batch["image"])
+        outputs, hand_logit = net.judged(image)
+        maps = net.heatmaps(outputs)
+        self._add(read_out(net, maps), batch)
+        if hand_logit is not None:
+            mirrored = net.judged(image.flip(3))[1]
+            assert mirrored is not None
+            self.judged.append((hand_logit[:, 0] > 0) == (batch["hand"] > 0))
+            self.judged.append(mirrored[:, 0][batch["hand"] > 0] < 0)
+        return maps
+
+    def _add(self, predicted: Tensor, batch: Batch) -> None:
         counted = batch["weight"] > 0
         self.crop.append((predicted - batch["joints_px"]).norm(dim=-1)[counted])
         homography = batch["image_from_crop"].double()
@@ -131,7 +153,9 @@ class _Errors2D:
 
     def figures(self) -> dict[str, float]:
         crop, image = torch.cat(self.crop), torch.cat(self.image)
+        judged = {"judged": float(torch.cat(self.judged).float().mean())} if self.judged else {}
         return {
+            **judged,
             "crop_px_mean": float(crop.mean()),
             "crop_px_median": float(crop.median()),
             "image_px_mean": float(image.mean()),
@@ -148,15 +172,15 @@ class Pose2DStage(Stage):
         self.net = PoseNet2D(config.networks.pose_net_2d)
 
     def forward(self, batch: Batch, iteration: int) -> Losses:
-        outputs = self.net(normalised(batch["image"]))
-        return heatmap_losses(self.net, outputs, batch, self.config)
+        outputs, hand_logit = self.net.judged(normalised(batch["image"]))
+        return heatmap_losses(self.net, outputs, batch, self.config) | judge_losses(hand_logit, batch, self.config)
 
     def validate(self, batches: Sequence[Batch]) -> dict[str, float]:
-        """Mean and median distance of counted joints, in crop pixels and in pixels of the full picture."""
+        """Mean and median distance of counted joints, in crop pixels and in pixels of the full picture; judged: share
+        of crops, and of the same crops mirrored, that the judge is right about."""
         errors = _Errors2D()
         for batch in batches:
-            maps = self.net.heatmaps(self.net(normalised(batch["image"])))
-            errors.add(read_out(self.net, maps), batch)
+            errors.look(self.net, batch)
         return errors.figures()
 
     def networks(self) -> dict[str, nn.Module]:
@@ -188,11 +212,12 @@ class Pose3DStage(Stage):
     def forward(self, batch: Batch, iteration: int) -> Losses:
         loss = self.config.loss
         with torch.set_grad_enabled(self.along):
-            outputs = self.net_2d(normalised(batch["image"]))
+            outputs, hand_logit = self.net_2d.judged(normalised(batch["image"]))
             maps = self.net_2d.heatmaps(outputs)
         result: Losses = {}
         if self.along and loss.heatmap_along:
             two_d = heatmap_losses(self.net_2d, outputs, batch, self.config)
+            two_d |= judge_losses(hand_logit, batch, self.config)
             result = {name: loss.heatmap_along * value for name, value in two_d.items()}
         if iteration < self.config.truth_maps:
             half = (batch["lot"] < 0.5)[:, None, None, None]
@@ -228,8 +253,7 @@ class Pose3DStage(Stage):
         joint: list[Tensor] = []
         bone: list[Tensor] = []
         for batch in batches:
-            maps = self.net_2d.heatmaps(self.net_2d(normalised(batch["image"])))
-            errors.add(read_out(self.net_2d, maps), batch)
+            maps = errors.look(self.net_2d, batch)
             predicted, truth = self.net_3d(maps).float(), batch["canonical"]
             known = batch["canonical_weight"].bool()
             joint.append((predicted - truth).norm(dim=-1)[known])
@@ -285,13 +309,18 @@ def build_stage(config: TrainConfig, weights: Sequence[Path] = (), *, require_we
 
 
 def _fill(known: Mapping[str, nn.Module], path: Path) -> str:
-    """Load a checkpoint into the network of a stage that it belongs to; returns that network's name."""
+    """Load a checkpoint into the network of a stage that it belongs to; returns that network's name.
+
+    PoseNet2D may come without a judge: the run's own stays fresh.
+    """
     found = network_name(path)
     name = (
         found if found is not None and found in known else next(iter(known))
     )  # if unknown, load_network says what was expected
-    loaded = load_network(name, path)
-    if loaded.config != known[name].config:
-        raise InputError(f"{path}: {name} has the shape {loaded.config}, but this run asks for {known[name].config}")
-    known[name].load_state_dict(loaded.state_dict())
+    loaded, wanted = load_network(name, path), known[name]
+    found, asked = loaded.config, wanted.config
+    no_judge = isinstance(found, PoseNet2DConfig) and not found.judge
+    if found != asked and not (no_judge and dataclasses.replace(found, judge=True) == asked):
+        raise InputError(f"{path}: {name} has the shape {found}, but this run asks for {asked}")
+    wanted.load_state_dict(loaded.state_dict(), strict=not no_judge)
     return name

@@ -1,0 +1,87 @@
+"""Whose hand is it, if any: HandSegNet's candidates, judged by PoseNet2D.
+
+Ours; the paper trusts the energy's peak. HandSegNet sees the whole picture at low resolution. PoseNet2D sees one
+candidate at high resolution, as cut and, if that looks wrong, mirrored: a left hand in the mirror is a right one.
+"""
+
+from __future__ import annotations
+
+import itertools
+from typing import Final
+
+import numpy as np
+
+CANDIDATE_THRESHOLD: Final = 0.3
+"""HandSegNet's score (`geometry.segmentation.hand_scores`) from which on PoseNet2D looks at a candidate."""
+TURN_BELOW: Final = 2.0
+"""Log-odds of PoseNet2D below which it looks at a candidate's mirror image too."""
+SEG_WEIGHT: Final = 0.5
+"""Weight of HandSegNet's log-odds in the decision; PoseNet2D's have the other half."""
+SEG_LIMIT: Final = 4.0
+"""HandSegNet's log-odds are limited to this size: it may be sure and wrong."""
+TURN_COST: Final = 1.0
+"""Log-odds taken off where a hand is on the other side than HandSegNet says: most often it is right."""
+
+
+def log_odds(score: np.ndarray) -> np.ndarray:
+    """log(p / (1 - p)) of probabilities."""
+    p = np.clip(np.asarray(score, np.float64), 1e-6, 1 - 1e-6)
+    return np.log(p / (1 - p))
+
+
+def assign_sides(seg_scores: np.ndarray, own: np.ndarray, turned: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The most probable answer to which candidate is which hand.
+
+    Every candidate is the hand that it was found as, the other one, or none; each hand is at most one of them. The
+    answer maximises the sum of the log-odds of the hands that are there.
+
+    Args:
+        seg_scores: (2,) HandSegNet's scores of the candidates LEFT and RIGHT, 0..1.
+        own: (2,) PoseNet2D's log-odds that candidate LEFT is a left hand, candidate RIGHT a right one; NaN for none.
+        turned: (2,) its log-odds that candidate LEFT is a right hand, candidate RIGHT a left one; NaN where it did not
+            look.
+
+    Returns:
+        source (2,) int: for LEFT and RIGHT the candidate that it is, -1 for an absent hand; and log-odds (2,) of the
+        answer for each hand, NaN for an absent one.
+    """
+    seg = np.clip(log_odds(seg_scores), -SEG_LIMIT, SEG_LIMIT)
+    judged = np.array([[own[0], turned[1]], [turned[0], own[1]]], np.float64)  # [side, candidate]
+    values = SEG_WEIGHT * seg + (1 - SEG_WEIGHT) * judged - TURN_COST * (1 - np.eye(2))
+    values = np.where(np.isnan(values), -np.inf, values)
+    best, answer = 0.0, (-1, -1)
+    for sources in itertools.product((-1, 0, 1), repeat=2):
+        if sources[0] == sources[1] != -1:
+            continue
+        total = sum(float(values[side, c]) for side, c in enumerate(sources) if c >= 0)
+        if total > best:
+            best, answer = total, sources
+    source = np.array(answer)
+    return source, np.array([values[side, c] if c >= 0 else np.nan for side, c in enumerate(answer)])
+
+
+def corrected_masks(masks: np.ndarray, source: np.ndarray, boxes_px: np.ndarray) -> np.ndarray:
+    """Masks that agree with the answer.
+
+    Args:
+        masks: (H, W) uint8, 0 background, 1 left, 2 right, by HandSegNet's candidates.
+        source: (2,) as `assign_sides` gives it.
+        boxes_px: (2, 4) u0, v0, u1, v1 of the candidates; NaN where there was none.
+
+    Returns:
+        The same array if nothing changes; else a new one, in which each candidate's pixels bear the class of the hand
+        that it is. The pixels of a candidate that is no hand go to a hand whose box meets its own, else to the
+        background.
+    """
+    classes = np.zeros(3, np.uint8)
+    for candidate in (0, 1):
+        owners = np.flatnonzero(source == candidate)
+        if len(owners):
+            classes[1 + candidate] = 1 + owners[0]
+            continue
+        low = np.maximum(boxes_px[0, :2], boxes_px[1, :2])
+        high = np.minimum(boxes_px[0, 2:], boxes_px[1, 2:])
+        others = np.flatnonzero(source == 1 - candidate)
+        if len(others) and (low < high).all():  # False if either is NaN
+            classes[1 + candidate] = 1 + others[0]
+    return masks if classes.tolist() == [0, 1, 2] else classes[masks]

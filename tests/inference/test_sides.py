@@ -1,0 +1,67 @@
+"""Which candidate is which hand."""
+
+import numpy as np
+import pytest
+
+from twohands.inference.sides import assign_sides, corrected_masks, log_odds
+
+NO = np.nan
+SURE = [0.95, 0.95]
+
+
+def test_log_odds_by_hand():
+    np.testing.assert_allclose(log_odds(np.array([0.5, 0.75, 0.1])), [0, np.log(3), -np.log(9)])
+    assert np.isfinite(log_odds(np.array([0.0, 1.0]))).all()
+
+
+@pytest.mark.parametrize(
+    ("seg_scores", "own", "turned", "source"),
+    [
+        (SURE, [6, 6], [NO, NO], [0, 1]),  # two good hands
+        (SURE, [6, -6], [NO, -9], [0, -1]),  # the right one is nothing
+        ([0.95, 0.5], [6, -6], [NO, 5], [0, -1]),  # the right one is a ghost of the left one, which is there already
+        ([0.4, 0.95], [-1, -6], [-2, 6], [1, -1]),  # a left hand, best seen where the right one was expected
+        ([0.1, 0.95], [NO, -6], [NO, 6], [1, -1]),  # the same, and nothing was found for the left one
+        (SURE, [-6, -6], [6, 6], [1, 0]),  # the two are swapped
+        (SURE, [-8, -8], [-8, -8], [-1, -1]),  # no hands at all
+        ([0.35, 0.01], [4, NO], [NO, NO], [0, -1]),  # HandSegNet was in doubt, PoseNet2D is not
+    ],
+)
+def test_the_most_probable_answer(seg_scores, own, turned, source):
+    found, values = assign_sides(np.array(seg_scores), np.array(own, float), np.array(turned, float))
+    assert found.tolist() == source
+    assert np.isfinite(values[found >= 0]).all() and np.isnan(values[found < 0]).all()
+
+
+def test_mirrored_evidence_gives_the_mirrored_answer():
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        scores, own, turned = rng.random(2), *rng.normal(0, 4, (2, 2))
+        source, values = assign_sides(scores, own, turned)
+        mirrored, mirrored_values = assign_sides(scores[::-1], own[::-1], turned[::-1])
+        assert mirrored.tolist() == np.array([1, 0, -1])[source[::-1]].tolist()
+        np.testing.assert_array_equal(mirrored_values, values[::-1])
+
+
+MASKS = np.array([[0, 1, 1, 2, 2, 0]], np.uint8)
+MEETING = np.array([[1, 0, 4, 1], [3, 0, 5, 1.0]])
+APART = np.array([[1, 0, 3, 1], [3, 0, 5, 1.0]])
+
+
+@pytest.mark.parametrize(
+    ("source", "boxes_px", "expected"),
+    [
+        ([0, 1], MEETING, [0, 1, 1, 2, 2, 0]),
+        ([0, -1], MEETING, [0, 1, 1, 1, 1, 0]),  # the ghost's pixels belong to the hand that it was
+        ([0, -1], APART, [0, 1, 1, 0, 0, 0]),
+        ([1, -1], MEETING, [0, 1, 1, 1, 1, 0]),
+        ([1, -1], APART, [0, 0, 0, 1, 1, 0]),
+        ([1, 0], APART, [0, 2, 2, 1, 1, 0]),
+        ([-1, -1], MEETING, [0, 0, 0, 0, 0, 0]),
+        ([-1, 0], np.array([[1, 0, 4, 1], [NO] * 4]), [0, 2, 2, 0, 0, 0]),
+    ],
+)
+def test_masks_follow_the_answer(source, boxes_px, expected):
+    masks = corrected_masks(MASKS, np.array(source), boxes_px)
+    assert masks[0].tolist() == expected and masks.dtype == np.uint8
+    assert (masks is MASKS) == (source == [0, 1])
