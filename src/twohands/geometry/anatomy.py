@@ -1,0 +1,48 @@
+"""Where anatomists and most data sets of real hands put the joints of the palm.
+
+The skeleton of the generator, like that of Ego3DHands, is an animator's: its wrist lies inside the forearm, almost two
+centimetres above the crease, and its knuckles where the fingers leave the palm rather than in the ball joints. Data
+sets of real hands place both by the bones. All of these points are fixed to the palm, so each is a mean of others.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from twohands.skeleton import N_JOINTS, ROOT, WRIST
+
+KNUCKLES: Final = (5, 9, 13, 17)
+KNUCKLE_SHIFTS: Final = (0.127, 0.089, 0.073, 0.060)
+"""Index to little finger: how far the knuckle moves towards the wrist, as a share of the way. It makes the first
+phalanx 1.7, 1.55, 1.5 and 1.75 times as long as the second, about what bone tables of adults say."""
+WRIST_SHIFT: Final = 0.160
+"""How far the wrist moves towards the middle knuckle, as a share of the way: the palm is then 0.82 times as long as the
+middle finger from knuckle to tip."""
+HAND_LENGTH: Final = 1.0 - WRIST_SHIFT - KNUCKLE_SHIFTS[1]
+"""Distance from the anatomical wrist to the anatomical middle knuckle, in hand lengths of our skeleton: 0.751."""
+
+
+def _weights() -> np.ndarray:
+    """(21, 21), rows sum to 1: anatomical joints as means of ours."""
+    weights = np.eye(N_JOINTS)
+    for knuckle, shift in zip(KNUCKLES, KNUCKLE_SHIFTS, strict=True):
+        weights[knuckle, [knuckle, WRIST]] = 1 - shift, shift
+    weights[WRIST, [WRIST, ROOT]] = 1 - WRIST_SHIFT, WRIST_SHIFT
+    return weights
+
+
+def anatomical_joints(joints: np.ndarray) -> np.ndarray:
+    """Joints as data sets of real hands have them.
+
+    Args:
+        joints: (..., 21, 3) in our skeleton, any unit and frame, of one hand each; or (..., 21, 2) in the picture.
+
+    Returns:
+        Array of the same shape, unit and frame: wrist and knuckles moved, all others as they are.
+
+    Source: ours. Proportions after anthropometric tables (for example Buchholz, Armstrong and Goldstein 1992); no data
+    set of pictures was fitted.
+    """
+    return _weights() @ joints
