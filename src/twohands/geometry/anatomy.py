@@ -1,6 +1,6 @@
 """Where anatomists and most data sets of real hands put the joints of the palm.
 
-The skeleton of the generator, like that of Ego3DHands, is an animator's: its wrist lies inside the forearm, almost two
+The skeleton of the generator, like that of Ego3DHands, is an animator's: its wrist lies inside the forearm, one to two
 centimetres above the crease, and its knuckles where the fingers leave the palm rather than in the ball joints. Data
 sets of real hands place both by the bones. All of these points are fixed to the palm, so each is a mean of others.
 """
