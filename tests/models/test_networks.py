@@ -123,6 +123,18 @@ def test_encoder_decoder_shape():
     assert [tuple(maps.shape) for maps in outputs] == [(2, 21, 32, 32)]
 
 
+def test_only_a_judge_judges_and_its_maps_are_those_of_a_network_without():
+    torch.manual_seed(0)
+    judge = PoseNet2D(dataclasses.replace(TINY_2D, judge=True)).eval()
+    plain = PoseNet2D(TINY_2D).eval()
+    plain.load_state_dict({k: v for k, v in judge.state_dict().items() if not k.startswith("judge.")})
+    x = torch.rand(3, 3, 128, 128)
+    maps, hand_logit = judge.judged(x)
+    assert hand_logit is not None and hand_logit.shape == (3, 1)
+    assert plain.judged(x)[1] is None
+    assert torch.equal(maps[-1], plain(x)[-1]) and torch.equal(maps[-1], judge(x)[-1])
+
+
 def test_softmax_heatmaps_of_a_gaussian_have_peak_1_at_z_0_and_2_to_the_z_elsewhere():
     net = PoseNet2D(TINY_2D)
     cells = torch.arange(32) + 0.5
@@ -162,6 +174,7 @@ def test_the_presets_can_be_built():
         (PoseNet2DConfig, {"crop_size": 128}, "128"),
         (PoseNet2DConfig, {"variant": "encoder-decoder", "crop_size": 128, "stages": 2}, "2"),
         (PoseNet2DConfig, {"activation": "relu"}, "relu"),
+        (PoseNet2DConfig, {"judge": True}, "cpm9"),
         (PoseNet2DConfig, {"sigma": math.nan}, "nan"),
         (PoseNet3DConfig, {"width": 0.0}, "0.0"),
     ],

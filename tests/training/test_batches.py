@@ -22,6 +22,7 @@ from twohands.training.batches import (
     pose_batch,
     validation_batches,
 )
+from twohands.training.config import AugmentConfig
 from twohands.training.sources import split
 
 SAMPLES = make_samples(5)
@@ -82,6 +83,60 @@ def test_every_usable_hand_is_a_crop():
     shapes = {name: values.shape[1:] for name, values in BatchDataset(SAMPLES, config)[0].items()}
     assert {name: values.shape[1:] for name, values in nobody.items()} == shapes
     assert {len(values) for values in nobody.values()} == {0}
+
+
+def judging(config, **augment):
+    """Without other random changes than these."""
+    return dataclasses.replace(config, augment=AugmentConfig(**augment))
+
+
+def test_mirrored_crops_are_no_hands_of_their_side():
+    config = judging(tiny_run("pose_net_2d"), mirrored=1.0, predicted=0.0)
+    centred = dataclasses.replace(config.crop, shift=0.0, smallest=1.0, largest=1.0)
+    config = dataclasses.replace(config, crop=centred)
+    mirrored = pose_batch(SAMPLES, config, [np.random.default_rng(i) for i in range(len(SAMPLES))])
+    plain = pose_batch(SAMPLES, config, ())  # as for validation
+    assert mirrored["hand"].tolist() == [0.0] * 10 and plain["hand"].tolist() == [1.0] * 10
+    assert torch.equal(mirrored["image"], plain["image"].flip(2))
+    assert not mirrored["weight"].any() and not mirrored["canonical_weight"].any()
+
+
+def test_what_a_segmentation_invents_is_no_hand():
+    sample = make_sample(np.random.default_rng(0), present=(True, False))
+    box = hand_box(sample, 0)
+    invented = Segmentation(hand_classes(sample.labels), np.stack([box, box + 5]))
+    batch = pose_batch([sample], tiny_run("pose_net_2d"), (), lambda images: [invented])
+    assert batch["side"].tolist() == [0, 1] and batch["hand"].tolist() == [1.0, 0.0]
+    size, crop = batch["image"].shape[1], tiny_run("pose_net_2d").crop
+    expected = crop_matrix(box + 5, sample.camera, 1, size, crop)
+    np.testing.assert_allclose(batch["image_from_crop"][1], expected, rtol=1e-5)
+
+
+def test_pictures_without_hands_show_another_ones_outlines():
+    """Whatever the process that makes the batch, and in the place of the other picture's hands."""
+    nobody = make_sample(np.random.default_rng(1), present=(False, False))
+    source = [nobody, *SAMPLES]
+    config = judging(tiny_run("pose_net_2d", batch_images=6), predicted=0.0)
+    batch = BatchDataset(source, config)[0]
+    assert batch["hand"].sum() == 10 and len(batch["hand"]) in (10, 12)  # the lot may fall on itself
+    shares = [BatchDataset(source, config, rank, 2)[0] for rank in range(2)]
+    assert all(torch.equal(torch.cat([share[name] for share in shares]), batch[name]) for name in batch)
+    alone = pose_batch([nobody], config, [np.random.default_rng(0)], None, {0: SAMPLES[0]})
+    assert alone["hand"].tolist() == [0.0, 0.0] and alone["side"].tolist() == [0, 1]
+    box = hand_box(SAMPLES[0], 1)
+    expected = crop_matrix(box, nobody.camera, 1, alone["image"].shape[1], config.crop)
+    np.testing.assert_allclose(alone["image_from_crop"][1], expected, rtol=1e-5)
+
+
+def test_a_network_without_a_judge_sees_hands_alone():
+    config = tiny_run("pose_net_2d")
+    networks = dataclasses.replace(NETWORKS, pose_net_2d=dataclasses.replace(NETWORKS.pose_net_2d, judge=False))
+    config = judging(dataclasses.replace(config, networks=networks), mirrored=1.0)
+    nobody = make_sample(np.random.default_rng(1), present=(False, False))
+    batch = pose_batch(
+        [SAMPLES[0], nobody], config, [np.random.default_rng(i) for i in range(2)], None, {1: SAMPLES[1]}
+    )
+    assert batch["hand"].tolist() == [1.0, 1.0]
 
 
 @pytest.fixture(scope="module")

@@ -49,6 +49,12 @@ def test_energy_cross_entropy_has_its_least_value_at_the_target_and_no_vanishing
     assert slopes["mse"] < 1e-3
 
 
+def test_judge_loss_by_hand():
+    """log 2 for no opinion; log(1 + 3) for odds of 3 to 1 on the wrong answer."""
+    logits, hand = torch.tensor([[0.0], [math.log(3)]]), torch.tensor([1.0, 0.0])
+    assert losses.judge_loss(logits, hand).item() == pytest.approx((math.log(2) + math.log(4)) / 2)
+
+
 def test_heatmap_mse_sums_stages_and_skips_uncounted_joints():
     target = torch.zeros(1, 21, 2, 2)
     first, second = torch.zeros(1, 21, 2, 2), torch.zeros(1, 21, 2, 2)

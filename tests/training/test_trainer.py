@@ -13,6 +13,7 @@ from tests.training.tiny import plain, tiny_run
 from twohands.errors import CheckpointError, InputError
 from twohands.models.checkpoint import load_network, read_note, same_weights, save_network
 from twohands.models.pose_net_2d import PoseNet2D
+from twohands.models.presets import build_network
 from twohands.training.config import OptimConfig, TrainConfig
 from twohands.training.stages import build_stage
 from twohands.training.trainer import build_optimizer, train
@@ -184,6 +185,22 @@ def test_pose_net_3d_needs_pose_net_2d(tmp_path):
         build_stage(tiny_run("pose_net_3d"))
     with pytest.raises(CheckpointError, match="holds weights of 'pose_net_2d', but 'hand_seg_net'"):
         build_stage(tiny_run("hand_seg_net"), pose_weights(tmp_path))
+
+
+def test_weights_without_a_judge_can_be_taught_to_judge(tmp_path):
+    """The weights shipped until November 2026 had none."""
+    config = tiny_run("pose_net_2d")
+    shape = dataclasses.replace(config.networks.pose_net_2d, judge=False)
+    torch.manual_seed(3)
+    old = build_network("pose_net_2d", shape)
+    save_network("pose_net_2d", old, tmp_path / "old.safetensors")
+    stage = build_stage(config, [tmp_path / "old.safetensors"])
+    for name, value in old.state_dict().items():
+        assert torch.equal(stage.net.state_dict()[name], value)
+    assert stage.net.judge is not None
+    with pytest.raises(InputError, match="has the shape"):
+        networks = dataclasses.replace(config.networks, pose_net_2d=dataclasses.replace(shape, width=0.5))
+        build_stage(dataclasses.replace(config, networks=networks), [tmp_path / "old.safetensors"])
 
 
 def test_ideal_maps_replace_half_of_the_hands_at_first(tmp_path):

@@ -50,8 +50,8 @@ class TrackArgs:
     fov: Annotated[float | None, option("DEG")] = None
     """Horizontal field of view, where there is no camera file; 60 if not given."""
     hand_length: Annotated[float | None, option("CM")] = None
-    """About 0.6 times the length from the wrist's crease to the tip of the middle finger; ranges scale with it; 10 if not
-    given."""
+    """About 0.6 times the length from the wrist's crease to the tip of the middle finger; ranges scale with it; 10 if
+    not given."""
     weights: Annotated[str, tyro.conf.arg(metavar="NAME")] = DEFAULT_PRESET
     """Preset that ships with the package, or a weights folder."""
     json: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False

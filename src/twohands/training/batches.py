@@ -6,10 +6,11 @@ import bisect
 import itertools
 import signal
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Protocol, cast
 
 import cv2
@@ -179,6 +180,7 @@ def pose_batch(
     config: TrainConfig,
     rngs: Rngs,
     segment: Segment | None = None,
+    others: Mapping[int, HandSample] = MappingProxyType({}),
 ) -> Batch:
     """Crops for PoseNet2D and PoseNet3D: every usable hand of the pictures, and what a judge must learn to refuse.
 
@@ -188,6 +190,8 @@ def pose_batch(
         rngs: one generator per sample for random changes, or none at all for plain crops.
         segment: finds masks and boxes, for all pictures without `rngs` and for the share `augment.predicted` of them
             with; None for true ones.
+        others: for samples without hands, by number, another sample whose masks are laid over the picture, so that
+            PoseNet2D's judge learns to look at more than outlines.
 
     Returns:
         The fields of `PoseTarget`, stacked over N crops, and lot (N,) float32, a random number in [0, 1) for each; N
@@ -220,7 +224,7 @@ def pose_batch(
             if target is not None:
                 targets.append(target)
         if judged:
-            targets += _false_hands(sample, samples[i - 1], predicted.get(i), config, rng)
+            targets += _false_hands(sample, others.get(i), predicted.get(i), config, rng)
         new = len(targets) - before
         lots += rng.random(new).tolist() if rng is not None else [0.0] * new
 
@@ -244,18 +248,17 @@ def pose_batch(
 
 def _false_hands(
     sample: HandSample,
-    other: HandSample,
+    other: HandSample | None,
     predicted: Segmentation | None,
     config: TrainConfig,
     rng: np.random.Generator | None,
 ) -> list[PoseTarget]:
-    """Crops of a picture where no such hand is: what HandSegNet invented; in a picture without hands also the masks of
-    another picture's hands."""
+    """Crops where no such hand is: what HandSegNet invented, and the outlines of another picture's hands."""
     found: list[tuple[int, np.ndarray, np.ndarray]] = []
     if predicted is not None:
         absent = np.isfinite(predicted.boxes_px).all(axis=1) & ~np.asarray(sample.present)
         found += [(int(side), predicted.classes, predicted.boxes_px[side]) for side in np.flatnonzero(absent)]
-    if not any(sample.present) and other.labels is not None and other.labels.shape == sample.image.shape[:2]:
+    if other is not None and other.labels is not None and other.labels.shape == sample.image.shape[:2]:
         boxes = [(side, hand_box(other, side)) for side in (LEFT, RIGHT)]
         found += [(side, hand_classes(other.labels), box) for side, box in boxes if box is not None]
     size, photometric = config.networks.pose_net_2d.crop_size, config.augment.photometric
@@ -277,11 +280,13 @@ class BatchBuilder:
         checkpoint = self.config.data.segmentation
         return Segmenter(Path(checkpoint)) if checkpoint else None
 
-    def __call__(self, samples: Sequence[HandSample], rngs: Rngs) -> Batch:
+    def __call__(
+        self, samples: Sequence[HandSample], rngs: Rngs, others: Mapping[int, HandSample] = MappingProxyType({})
+    ) -> Batch:
         """See `segmentation_batch` and `pose_batch`."""
         if self.config.stage == "hand_seg_net":
             return segmentation_batch(samples, self.config, rngs)
-        return pose_batch(samples, self.config, rngs, self.segmenter)
+        return pose_batch(samples, self.config, rngs, self.segmenter, others)
 
 
 class BatchDataset(Dataset[Batch]):
@@ -325,7 +330,14 @@ class BatchDataset(Dataset[Batch]):
     def __getitem__(self, step: int) -> Batch:
         picks = self.picks(step)
         rngs = [np.random.default_rng([self.config.seed, epoch, index, 1]) for epoch, index in picks]
-        return self._build([self.source[index] for _, index in picks], rngs)
+        samples = [self.source[index] for _, index in picks]
+        others: dict[int, HandSample] = {}
+        if self.config.stage != "hand_seg_net":
+            for i, (epoch, index) in enumerate(picks):
+                if not any(samples[i].present):
+                    pick = np.random.default_rng([self.config.seed, epoch, index, 2]).integers(len(self.source))
+                    others[i] = self.source[int(pick)]
+        return self._build(samples, rngs, others)
 
 
 class TimedBatches(Dataset[tuple[float, Batch]]):
