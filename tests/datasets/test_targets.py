@@ -2,10 +2,12 @@
 
 import dataclasses
 
+import cv2
 import numpy as np
 import pytest
 from tests.builders import make_sample
 
+from twohands.datasets import targets
 from twohands.datasets.targets import (
     CropConfig,
     PoseTarget,
@@ -228,3 +230,55 @@ def test_bad_crops_are_refused():
         CropConfig("round")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="smallest <= largest"):
         CropConfig(smallest=1.2, largest=1.0)
+
+
+@pytest.mark.parametrize("crop", [PAPER_CROP, OUR_CROP])
+@pytest.mark.parametrize("side", [LEFT, RIGHT])
+@pytest.mark.parametrize("found_by_network", [False, True])
+def test_a_rolled_crop_is_that_of_a_rolled_camera(crop, side, found_by_network, monkeypatch):
+    """Picture and labels of a camera rolled by 35 degrees give the same target as rolling the crop."""
+    original = sample(3)
+    camera = original.camera
+    angle = np.radians(35.0)
+    rotation = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    intrinsics = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
+    rolled_from_image = intrinsics @ rotation @ np.linalg.inv(intrinsics)
+    # The rolled camera's picture is so large that nothing is cut off: its principal point moves.
+    room = np.array([[1, 0, 400.0], [0, 1, 400], [0, 0, 1]])
+    width, height = camera.width + 800, camera.height + 800
+    centred = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
+    to_warp = np.linalg.inv(centred) @ room @ rolled_from_image @ centred
+    rolled = dataclasses.replace(
+        original,
+        image=cv2.warpPerspective(original.image, to_warp, (width, height)),
+        labels=cv2.warpPerspective(original.labels, to_warp, (width, height), flags=cv2.INTER_NEAREST),
+        joints_px=apply_homography(room @ rolled_from_image, original.joints_px),
+        joints_m=original.joints_m @ rotation.T,
+        camera=dataclasses.replace(camera, cx=camera.cx + 400, cy=camera.cy + 400, width=width, height=height),
+    )
+    plain = target(rolled, side, 128, crop)
+    monkeypatch.setattr(targets, "_roll", lambda crop, rng: rotation)
+    found = None
+    if found_by_network:
+        boxes = np.stack([hand_box(original, side) for side in (LEFT, RIGHT)])
+        found = targets.Segmentation(hand_classes(original.labels), boxes)
+    turned = target(original, side, 128, crop, predicted=found)
+    if found_by_network:  # its box is moved to where the true box's centre goes, which is near
+        assert np.abs(turned.joints_px - plain.joints_px).max() < 12
+    else:
+        np.testing.assert_allclose(turned.joints_px, plain.joints_px, atol=1e-2)
+        np.testing.assert_allclose(turned.rays_from_crop, plain.rays_from_crop, atol=1e-5)
+        assert np.abs(turned.image.astype(int) - plain.image).mean() < 6
+    np.testing.assert_allclose(turned.canonical, plain.canonical, atol=1e-5)
+    assert turned.distance == pytest.approx(plain.distance)
+    back = apply_homography(turned.image_from_crop.astype(float), turned.joints_px.astype(float))
+    np.testing.assert_allclose(back, original.joints_px[side], atol=1e-2)
+
+
+def test_half_of_the_crops_are_rolled():
+    config = dataclasses.replace(OUR_CROP, roll=60.0)
+    upright = target(sample(3), LEFT, 128, OUR_CROP).canonical
+    drawn = [target(sample(3), LEFT, 128, config, rng=np.random.default_rng(seed)).canonical for seed in range(60)]
+    rolled = [not np.allclose(canonical, upright, atol=1e-5) for canonical in drawn]
+    assert 15 < sum(rolled) < 45
+    np.testing.assert_allclose(target(sample(3), LEFT, 128, config).canonical, upright)  # validation is upright

@@ -134,7 +134,7 @@ def test_log_config_and_note(tmp_path):
     parts = {
         row["metric"]: float(row["value"]) for row in logged if row["iteration"] == "2" and row["split"] == "train"
     }
-    assert parts["loss"] == pytest.approx(parts["heatmap"] + parts["soft_argmax"], rel=1e-4)
+    assert parts["loss"] == pytest.approx(parts["heatmap"] + parts["soft_argmax"] + parts["judge"], rel=1e-4)
     note = read_note(result.checkpoints["pose_net_2d"])
     assert (note["recipe"], note["seed"], note["iterations"]) == ("ours", 3, 4)
     assert note["crop"]["kind"] == "perspective"

@@ -33,6 +33,9 @@ class CropConfig:
     """Training: smallest factor on the box's size."""
     largest: float = 1.0
     """Training: largest factor on the box's size."""
+    roll: float = 0.0
+    """Training: half of the crops are as a camera sees them that is rolled about its line of sight, by at most so many
+    degrees."""
     background: float = 0.0
     """Brightness of the background in the crop: 0 blacks it out, as in the paper."""
     min_joints: int = 12
@@ -43,6 +46,8 @@ class CropConfig:
     def __post_init__(self) -> None:
         if self.kind not in ("square", "perspective"):
             raise InputError(f"crop: kind must be square or perspective, got {self.kind!r}")
+        if not 0 <= self.roll <= 180:
+            raise InputError(f"crop: roll must lie in 0..180 degrees, got {self.roll}")
         if not 0 <= self.background <= 1:
             raise InputError(f"crop: background must lie in 0..1, got {self.background}")
         if not (self.margin > 0 and self.shift >= 0 and 0 < self.smallest <= self.largest):
@@ -106,7 +111,8 @@ class PoseTarget:
         canonical_weight: (21,) float32, 1 where `canonical` is known.
         distance: root's distance from the pinhole over the hand length; 0 where unknown.
         rays_from_crop: (3, 3) float32, crop pixels (u, v, 1) -> viewing ray in the left-like camera frame: mirrored
-            back for right hands, so that right hands need no further care downstream. Lens distortion ignored.
+            back for right hands, so that right hands need no further care downstream. Lens distortion ignored. Of the
+            rolled camera if there is one, as `canonical`.
         image_from_crop: (3, 3) float32, crop pixels -> pixels of the full picture.
         side: LEFT or RIGHT.
         hand: whether the crop shows a hand of that side; if not, no joint is known.
@@ -271,11 +277,21 @@ def pose_target(
     if int((known & _inside(joints_px, width, height)).sum()) < crop.min_joints:
         return None
 
+    rolled_camera = _roll(crop, rng)
+    intrinsics = _intrinsics(sample.camera)
+    image_from_rolled = intrinsics @ rolled_camera.T @ np.linalg.inv(intrinsics)
+    corner = np.array([width, height], np.float64)
+    seen = apply_homography(np.linalg.inv(image_from_rolled), np.clip(joints_px, 0, corner))
+    rolled_box = np.asarray(box_from_points(seen, known), np.float64)
+    if min(rolled_box[2:] - rolled_box[:2]) < 2:
+        return None
     if predicted is not None and np.isfinite(predicted.boxes_px[side]).all():
-        image_from_crop = crop_matrix(predicted.boxes_px[side], sample.camera, side, size, crop)
+        rolled_box = _like(rolled_box, box, predicted.boxes_px[side], image_from_rolled)
+        rolled_from_crop = crop_matrix(rolled_box, sample.camera, side, size, crop)
     else:
         predicted = None
-        image_from_crop = crop_matrix(box, sample.camera, side, size, crop, rng)
+        rolled_from_crop = crop_matrix(rolled_box, sample.camera, side, size, crop, rng)
+    image_from_crop = image_from_rolled @ rolled_from_crop
     crop_joints = np.asarray(apply_homography(np.linalg.inv(image_from_crop), joints_px))
     inside = known & _inside(crop_joints, size, size)
     image = warp_image(sample.image, image_from_crop, size, interpolation="linear")
@@ -294,9 +310,9 @@ def pose_target(
         image = jitter_colours(image, photometric, rng)
     composed = compose_hand_input(image, classes, np.eye(3), side, size, crop.background)
 
-    canonical, distance, has_3d = _canonical_target(sample, side)
+    canonical, distance, has_3d = _canonical_target(sample, side, rolled_camera)
     mirror = MIRROR_X if side == RIGHT else np.eye(3)
-    rays = mirror @ np.linalg.inv(_intrinsics(sample.camera)) @ image_from_crop
+    rays = mirror @ np.linalg.inv(intrinsics) @ rolled_from_crop
     return PoseTarget(
         image=composed,
         joints_px=np.where(inside[:, None], crop_joints, 0.0).astype(np.float32),
@@ -365,9 +381,26 @@ def _without_hand(image: np.ndarray, image_from_crop: np.ndarray, side: int) -> 
     )
 
 
-def _canonical_target(sample: HandSample, side: int) -> tuple[np.ndarray, float, np.ndarray]:
-    """Left-like canonical joints (21, 3), distance in hand lengths, and which joints are known (21,)."""
-    joints = np.asarray(sample.joints_m[side], dtype=np.float64)
+def _roll(crop: CropConfig, rng: np.random.Generator | None) -> np.ndarray:
+    """(3, 3) rotation from the frame of the camera to that of the rolled one."""
+    if rng is None or not crop.roll or rng.random() < 0.5:
+        return np.eye(3)
+    angle = np.radians(rng.uniform(-crop.roll, crop.roll))
+    cos, sin = np.cos(angle), np.sin(angle)
+    return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _like(rolled_box: np.ndarray, box: np.ndarray, predicted: np.ndarray, image_from_rolled: np.ndarray) -> np.ndarray:
+    """A predicted box in the rolled picture: its centre there, and larger or smaller by as much as the true box."""
+    centre = apply_homography(np.linalg.inv(image_from_rolled), (predicted[None, :2] + predicted[None, 2:]) / 2)[0]
+    half = (predicted[2:] - predicted[:2]) / 2 * (rolled_box[2:] - rolled_box[:2]) / (box[2:] - box[:2])
+    return np.concatenate([centre - half, centre + half])
+
+
+def _canonical_target(sample: HandSample, side: int, rolled_camera: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
+    """Left-like canonical joints (21, 3), distance in hand lengths, and which joints are known (21,), all for the
+    camera rolled by `rolled_camera` (3, 3)."""
+    joints = np.asarray(sample.joints_m[side], dtype=np.float64) @ rolled_camera.T
     known = np.asarray(sample.valid[side]) & np.isfinite(joints).all(axis=-1)
     if not (known[ROOT] and known[WRIST]):
         return np.zeros((N_JOINTS, 3)), 0.0, np.zeros(N_JOINTS, bool)
