@@ -8,8 +8,7 @@ which stays fixed. Figures are those of the held-out pictures at the ends of the
 the other; a run that was killed goes on with the same command, finished rows are not trained again. The paper trains
 its row without batch normalisation by plain SGD at 1e-6; here all rows keep Adam.
 
-What needs no training is measured on predictions instead: key bone and all joints by `benchmarks/range_solvers.py`,
-smoothing by `twohands eval sweep`, isolated and complete by `twohands eval budget`.
+What needs no training is in `benchmarks/pipeline_ablations.py`.
 """
 
 from __future__ import annotations

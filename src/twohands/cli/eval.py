@@ -9,7 +9,6 @@ finished reports. docs/evaluation.md describes metrics, protocols and files.
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 import shlex
 import sys
@@ -50,7 +49,7 @@ from twohands.inference.ground_truth import HeatmapTargets, Stage, TruthfulEstim
 from twohands.inference.smoothing_sweep import DEGREES, LENGTHS, smoothing_sweep
 from twohands.inference.smoothing_sweep import VERSION as SWEEP_VERSION
 from twohands.inference.tracker import HandTracker
-from twohands.inference.weights import DEFAULT_PRESET, NETWORK_NAMES, preset_folder
+from twohands.inference.weights import DEFAULT_PRESET, preset_folder, weights_id
 from twohands.peers.base import Handedness
 from twohands.peers.mediapipe_hands import MediaPipeHands, Placement
 from twohands.types import HandSample, TwoHandPose
@@ -329,7 +328,7 @@ def _run_budget(args: Budget) -> int:
         _samples(samples, count, f"{len(studies)} studies"),
         estimator_of,
         dataset=samples.name,
-        weights=_weights_id(estimator, args.weights),
+        weights=weights_id(preset_folder(args.weights), estimator.card),
         studies=studies,
         protocol=_protocol(dataset, args.rules),
         notes=notes,
@@ -458,7 +457,7 @@ def _predict(dataset: OpenedDataset, system: System, count: int | None) -> Predi
             estimator = HandEstimator.from_preset(system.weights)
             targets = HeatmapTargets.from_folder(preset_folder(system.weights))
             estimate = TruthfulEstimator(estimator, system.truth, targets)
-            name = _weights_id(estimator, system.weights)
+            name = weights_id(preset_folder(system.weights), estimator.card)
             settings = _settings(estimator, system)
         if system.smooth:
             estimate, settings = _Smoothed(estimate), settings | {"smoothed": True}
@@ -541,14 +540,6 @@ def _checked_budget(budget: dict[str, Any]) -> dict[str, Any]:
         raise ValueError(f"expected a budget of version {BUDGET_VERSION}, got {version}")
     _ = budget_results(budget), budget_costs(budget), budget["dataset_id"], budget["images"]  # every number is there
     return budget
-
-
-def _weights_id(estimator: HandEstimator, preset: str) -> str:
-    """Name and fingerprint of a set of weights, the latter from its networks' bytes."""
-    digest = hashlib.sha256()
-    for name in NETWORK_NAMES:
-        digest.update((preset_folder(preset) / f"{name}.onnx").read_bytes())
-    return f"{estimator.card.name}@{digest.hexdigest()[:12]}"
 
 
 def _command() -> str:

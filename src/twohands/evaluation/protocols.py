@@ -143,14 +143,14 @@ def _camera_space_metrics(c: Comparison) -> list[Metric]:
         _error("range_mean", "range error, mean", "cm", distance_cm, m.finite_mean),
         _error("range_median", "range error, median", "cm", distance_cm, m.finite_median),
         _error("range_relative_median", "range error / range, median", "%", relative, m.finite_median),
-        *(_share(f"range_{t}cm", f"range within {t} cm", distance_cm, _within(t)) for t in (3, 5, 7, 10)),
+        *(_share(f"range_{t}cm", f"range within {t} cm", distance_cm, _within(t)) for t in (3, 3.5, 5, 7, 10)),
         _share("range_auc", "range AUC 0-20 cm", distance_cm, lambda e: m.pck_auc(e[:, None], m.AUC_RANGE_CM)),
     ]
     for index, (key, name) in enumerate((("theta", "theta"), ("phi", "phi"), ("direction", "direction"))):
         angle = c.root[..., index]
         found += [
             _error(f"{key}_median", f"{name} error, median", "deg", angle, m.finite_median),
-            *(_share(f"{key}_{t}deg", f"{name} within {t} deg", angle, _within(t)) for t in (1, 3, 5)),
+            *(_share(f"{key}_{t}deg", f"{name} within {t} deg", angle, _within(t)) for t in (1, 1.5, 3, 5)),
             _share(f"{key}_auc", f"{name} AUC 0-10 deg", angle, lambda e: m.pck_auc(e[:, None], m.AUC_ANGLE_DEG)),
         ]
     pairs = int(np.isfinite(c.relative_root_mm).sum())

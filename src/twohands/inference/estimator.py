@@ -129,6 +129,7 @@ class HandEstimator:
         self.networks = networks
         self.card = card
         self.threshold = CANDIDATE_THRESHOLD if card.judge else PRESENCE_THRESHOLD
+        self.second_look_iou = SECOND_LOOK_IOU
 
     @classmethod
     def from_preset(cls, preset: str | Path = DEFAULT_PRESET, threads: int = 0) -> HandEstimator:
@@ -243,7 +244,7 @@ class HandEstimator:
                 return masks, boxes, look
         boxes_px = boxes.boxes_px[look.sides]
         found_px = joint_boxes(look.joints_px, image.shape[:2], boxes_px)
-        again |= box_iou(boxes_px, found_px) < SECOND_LOOK_IOU
+        again |= box_iou(boxes_px, found_px) < self.second_look_iou
         boxes.boxes_px[look.sides] = found_px
         if again.any():
             second = self.look(image, masks, boxes.boxes_px, look.sides[again], camera)

@@ -25,7 +25,7 @@ from twohands.types import HandSample, TwoHandPose
 VERSION: Final = 1
 LENGTHS: Final = (5, 8, 10, 15, 20)
 DEGREES: Final = (1, 2, 3)
-METRICS: Final = ("range_mean", "range_median", "range_7cm", "cs_mpjpe", "acceleration_radial")
+METRICS: Final = ("range_mean", "range_median", "range_3.5cm", "range_7cm", "cs_mpjpe", "acceleration_radial")
 
 
 @dataclass(frozen=True, slots=True)

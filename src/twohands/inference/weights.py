@@ -21,6 +21,7 @@ The card holds what inference must know; every other key (recipe, seed, accuracy
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 from collections.abc import Mapping
@@ -166,3 +167,11 @@ def read_card(folder: Path) -> WeightsCard:
     if missing:
         raise CheckpointError(f"{folder}: {missing[0]}.onnx is missing; the folder must hold all three networks")
     return WeightsCard.from_dict(card)
+
+
+def weights_id(folder: Path, card: WeightsCard) -> str:
+    """Name and fingerprint of the weights in a preset's folder, the latter from its networks' bytes."""
+    digest = hashlib.sha256()
+    for name in NETWORK_NAMES:
+        digest.update((folder / f"{name}.onnx").read_bytes())
+    return f"{card.name}@{digest.hexdigest()[:12]}"
