@@ -2,14 +2,20 @@
 
 import dataclasses
 import json
+import shutil
 
+import numpy as np
 import pytest
 from tests.builders import make_samples
 from tests.training.tiny import tiny_run
 
 from twohands.cli import export, train
+from twohands.cli.demo import examples_folder
 from twohands.cli.main import main
 from twohands.errors import InputError
+from twohands.inference.estimator import HandEstimator
+from twohands.inference.sources import list_images, read_image
+from twohands.inference.weights import DEFAULT_PRESET, preset_folder
 from twohands.training import sources
 
 SETTINGS = ("networks.hand_seg_net.width=0.125", "networks.hand_seg_net.height=64", "networks.hand_seg_net.width_px=96")
@@ -88,3 +94,17 @@ def test_export_refuses_a_full_folder_and_missing_weights(tmp_path):
         words += [f"--{name}", str(missing)]
     assert main(words) == 2
     assert not (tmp_path / "new").exists()
+
+
+def test_the_segmentation_of_a_preset_is_that_of_the_pipeline(tmp_path):
+    """The same file without its card is opened by torch and answers nearly alike."""
+    preset = preset_folder(DEFAULT_PRESET)
+    estimator = HandEstimator.from_preset(preset)
+    shutil.copy(preset / "hand_seg_net.onnx", tmp_path)
+    image = read_image(list_images(examples_folder())[0])
+    masks, boxes = estimator.segment(image)
+    (found,) = train.open_segmentation(preset / "hand_seg_net.onnx")([image])
+    np.testing.assert_array_equal(found.classes, masks)
+    np.testing.assert_array_equal(found.boxes_px, boxes.boxes_px)
+    (alone,) = train.open_segmentation(tmp_path / "hand_seg_net.onnx")([image])
+    assert (alone.classes != masks).mean() < 0.01

@@ -13,15 +13,19 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
+import numpy as np
 import tyro
 
 from twohands.errors import InputError
 
 if TYPE_CHECKING:
+    from twohands.datasets.targets import Segmentation
+    from twohands.training.batches import Segment
     from twohands.training.config import TrainConfig
 
 
@@ -49,7 +53,8 @@ class TrainArgs:
     weights: tuple[Path, ...] = ()
     """Checkpoints to start from, of a run or of a preset (its .onnx files); pose_net_3d needs one of pose_net_2d."""
     segmentation: Path | None = None
-    """Pose stages: trained HandSegNet whose masks and boxes are mixed in, so that they learn from its errors."""
+    """Pose stages: trained HandSegNet, of a run or of a preset, whose masks and boxes are mixed in, so that they learn
+    from its errors."""
     max_minutes: Annotated[float | None, tyro.conf.arg(aliases=["--minutes"])] = None
     """Wall-clock budget over all resumes, 0 for none; default: the recipe's. Fine-tuning: of all networks together,
     default 30."""
@@ -121,6 +126,27 @@ def changed(config: TrainConfig, args: TrainArgs) -> TrainConfig:
     return config
 
 
+def open_segmentation(checkpoint: Path) -> Segment:
+    """HandSegNet of a run or of a preset; a preset's runs as in the pipeline, which takes less than half the time.
+
+    Raises:
+        CheckpointError: missing, damaged, or of another network.
+    """
+    from twohands.datasets.targets import Segmentation
+    from twohands.inference.estimator import HandEstimator
+    from twohands.training.batches import Segmenter
+
+    if checkpoint.name != "hand_seg_net.onnx" or not (checkpoint.parent / "card.json").is_file():
+        return Segmenter(checkpoint)
+    estimator = HandEstimator.from_preset(checkpoint.parent, threads=1)
+
+    def segment(images: Sequence[np.ndarray]) -> list[Segmentation]:
+        found = [estimator.segment(image) for image in images]
+        return [Segmentation(masks, boxes.boxes_px) for masks, boxes in found]
+
+    return segment
+
+
 def run(args: TrainArgs) -> int:
     """Train, printing one line per log entry; under torchrun, only the first process prints."""
     if args.your_camera is not None:
@@ -144,6 +170,7 @@ def run(args: TrainArgs) -> int:
         weights=args.weights,
         resume=args.resume,
         report=say,
+        open_segmentation=open_segmentation,
     )
     say(f"{result.iterations} iterations in {result.minutes:.1f} min")
     for name, path in result.checkpoints.items():

@@ -31,8 +31,6 @@ from twohands.datasets.targets import (
 )
 from twohands.errors import InputError
 from twohands.geometry.segmentation import boxes_from_energy, hand_scores, letterbox, masks_from_logits, network_input
-from twohands.inference.engine import load_networks
-from twohands.inference.weights import read_card
 from twohands.models.blocks import fold_batch_norm
 from twohands.models.checkpoint import load_network
 from twohands.models.hand_seg_net import HandSegNetConfig
@@ -45,6 +43,8 @@ Batch = dict[str, Tensor]
 Rngs = Sequence[np.random.Generator]
 Segment = Callable[[Sequence[np.ndarray]], list[Segmentation]]
 """Masks and boxes of pictures, each (H, W, 3) uint8."""
+OpenSegmentation = Callable[[Path], Segment]
+"""What finds masks and boxes, from a file of HandSegNet."""
 
 
 class SampleSource(Protocol):
@@ -123,21 +123,28 @@ class Segmenter:
     """A trained HandSegNet, as the pose stages will meet it: the network and the reading of its maps.
 
     Args:
-        checkpoint: written by the trainer, or the ONNX file of a preset, which runs as in the pipeline and takes less
-            than half the time.
+        checkpoint: written by the trainer, or the ONNX file of a preset.
 
     Raises:
         CheckpointError: missing, damaged, or of another network.
     """
 
     def __init__(self, checkpoint: Path) -> None:
-        self.size, self._maps = _shipped(checkpoint) if checkpoint.suffix == ".onnx" else _trained(checkpoint)
+        net = load_network("hand_seg_net", checkpoint).eval()
+        config = cast(HandSegNetConfig, net.config)
+        self.size = (config.height, config.width_px)
+        fold_batch_norm(net)
+        self.net = net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
+    @torch.inference_mode()
     def __call__(self, images: Sequence[np.ndarray]) -> list[Segmentation]:
         """Masks and boxes of pictures, each (H, W, 3) uint8."""
         canvases, places = zip(*(letterbox(image, self.size) for image in images), strict=True)
-        logits, energy_logits = self._maps(network_input(np.stack(canvases)))
-        energies = 1 / (1 + np.exp(-energy_logits))
+        inputs = torch.from_numpy(network_input(np.stack(canvases))).contiguous(memory_format=torch.channels_last)
+        with torch.autocast("cpu", torch.bfloat16):
+            logits, energies = self.net(inputs)
+        # Back to one plane after the other: reductions over planes of interleaved channels are slow.
+        logits, energies = (np.ascontiguousarray(m.float().numpy()) for m in (logits, torch.sigmoid(energies.float())))
         found = []
         for i, image in enumerate(images):
             seg_logits, energy = places[i].content(logits[i]), places[i].content(energies[i])
@@ -145,34 +152,6 @@ class Segmenter:
             classes = masks_from_logits(seg_logits, image.shape[:2], boxes.present)
             found.append(Segmentation(classes, boxes.boxes_px))
         return found
-
-
-HandMaps = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""HandSegNet: (B, 3, h, w) -> seg_logits (B, 3, h, w), energy_logits (B, 2, h, w)."""
-
-
-def _trained(checkpoint: Path) -> tuple[tuple[int, int], HandMaps]:
-    """Input size (height, width) and network of a file that the trainer wrote."""
-    net = load_network("hand_seg_net", checkpoint).eval()
-    config = cast(HandSegNetConfig, net.config)
-    fold_batch_norm(net)
-    net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-
-    @torch.inference_mode()
-    def maps(pictures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        inputs = torch.from_numpy(pictures).contiguous(memory_format=torch.channels_last)
-        with torch.autocast("cpu", torch.bfloat16):
-            logits, energy_logits = net(inputs)
-        # Back to one plane after the other: reductions over planes of interleaved channels are slow.
-        return np.ascontiguousarray(logits.float().numpy()), np.ascontiguousarray(energy_logits.float().numpy())
-
-    return (config.height, config.width_px), maps
-
-
-def _shipped(file: Path) -> tuple[tuple[int, int], HandMaps]:
-    """Input size (height, width) and network of a preset, on one thread."""
-    card = read_card(file.parent)
-    return card.seg_input_size, load_networks(file.parent, card, threads=1).hand_seg_net
 
 
 def pose_batch(
@@ -271,14 +250,14 @@ def _false_hands(
 class BatchBuilder:
     """Builds the batch that the configured stage needs; cheap to send to another process."""
 
-    def __init__(self, config: TrainConfig) -> None:
-        self.config = config
+    def __init__(self, config: TrainConfig, open_segmentation: OpenSegmentation) -> None:
+        self.config, self.open_segmentation = config, open_segmentation
 
     @cached_property
-    def segmenter(self) -> Segmenter | None:
+    def segmenter(self) -> Segment | None:
         """One per process, loaded when first needed."""
         checkpoint = self.config.data.segmentation
-        return Segmenter(Path(checkpoint)) if checkpoint else None
+        return self.open_segmentation(Path(checkpoint)) if checkpoint else None
 
     def __call__(
         self, samples: Sequence[HandSample], rngs: Rngs, others: Mapping[int, HandSample] = MappingProxyType({})
@@ -299,18 +278,26 @@ class BatchDataset(Dataset[Batch]):
         config: the run.
         rank: this process among `world_size`; each takes its own part of every batch.
         world_size: number of processes that train together.
+        open_segmentation: opens `config.data.segmentation`, in every worker.
 
     Raises:
         InputError: no pictures, or a batch that the processes cannot share evenly.
     """
 
-    def __init__(self, source: SampleSource, config: TrainConfig, rank: int = 0, world_size: int = 1) -> None:
+    def __init__(
+        self,
+        source: SampleSource,
+        config: TrainConfig,
+        rank: int = 0,
+        world_size: int = 1,
+        open_segmentation: OpenSegmentation = Segmenter,
+    ) -> None:
         if len(source) == 0:
             raise InputError("no training pictures: the source is empty")
         self.source, self.config, self.rank = source, config, rank
         self.share = share_of_batch(config.batch_images, world_size)
         self._order: tuple[int, np.ndarray] | None = None
-        self._build = BatchBuilder(config)
+        self._build = BatchBuilder(config, open_segmentation)
 
     def __len__(self) -> int:
         return self.config.iterations
@@ -379,10 +366,12 @@ def batch_loader(dataset: BatchDataset, start: int) -> DataLoader[tuple[float, B
     )
 
 
-def validation_batches(source: SampleSource, config: TrainConfig) -> list[Batch]:
+def validation_batches(
+    source: SampleSource, config: TrainConfig, open_segmentation: OpenSegmentation = Segmenter
+) -> list[Batch]:
     """All held-out pictures, unchanged, in order; kept in memory because they are used again and again."""
     size = max(config.batch_images, 16)
-    build = BatchBuilder(config)
+    build = BatchBuilder(config, open_segmentation)
     starts = range(0, len(source), size)
     batches = (build([source[i] for i in range(start, min(start + size, len(source)))], ()) for start in starts)
     return [batch for batch in batches if len(batch["image"])]

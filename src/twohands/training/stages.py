@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -318,7 +319,7 @@ def _fill(known: Mapping[str, nn.Module], path: Path) -> str:
         found if found is not None and found in known else next(iter(known))
     )  # if unknown, load_network says what was expected
     loaded, wanted = load_network(name, path), known[name]
-    found, asked = loaded.config, wanted.config
+    found, asked = cast(Any, loaded.config), cast(Any, wanted.config)
     no_judge = isinstance(found, PoseNet2DConfig) and not found.judge
     if found != asked and not (no_judge and dataclasses.replace(found, judge=True) == asked):
         raise InputError(f"{path}: {name} has the shape {found}, but this run asks for {asked}")

@@ -20,7 +20,15 @@ from torch import Tensor, nn
 
 from twohands.errors import CheckpointError, InputError
 from twohands.models.checkpoint import load_tensors, save_network, save_tensors
-from twohands.training.batches import Batch, BatchDataset, SampleSource, batch_loader, validation_batches
+from twohands.training.batches import (
+    Batch,
+    BatchDataset,
+    OpenSegmentation,
+    SampleSource,
+    Segmenter,
+    batch_loader,
+    validation_batches,
+)
 from twohands.training.config import OptimConfig, TrainConfig
 from twohands.training.parallel import process_layout, share_batch_norm
 from twohands.training.schedule import learning_rate, progress, update_average
@@ -133,6 +141,7 @@ def train(
     resume: bool = False,
     report: Callable[[str], None] = lambda line: None,
     stop_after: int | None = None,
+    open_segmentation: OpenSegmentation = Segmenter,
 ) -> TrainResult:
     """Train one stage until its budget of iterations or minutes is used up.
 
@@ -152,6 +161,7 @@ def train(
         resume: continue the run in `out`, under the given config.
         report: gets one line of progress now and then.
         stop_after: leave, with everything saved, when this many iterations are done.
+        open_segmentation: opens `config.data.segmentation` for the pose stages.
 
     Raises:
         InputError: `out` holds another run, `resume` finds none, or the processes cannot share a batch evenly.
@@ -169,7 +179,7 @@ def train(
     processes, machines = process_layout()
     fabric = Fabric(precision=config.precision, devices=processes, num_nodes=machines)
     fabric.launch()
-    batches = BatchDataset(source, config, fabric.global_rank, fabric.world_size)
+    batches = BatchDataset(source, config, fabric.global_rank, fabric.world_size, open_segmentation)
     first = fabric.is_global_zero
     state = _start(config, weights, resume)
     share_batch_norm(state.stage)
@@ -184,7 +194,7 @@ def train(
         _cut_log(out / LOG_FILE, state.iteration)
         _write_text(out / CONFIG_FILE, json.dumps(config.to_dict(), indent=2) + "\n")
 
-    held_out_batches = validation_batches(held_out, config) if first else []
+    held_out_batches = validation_batches(held_out, config, open_segmentation) if first else []
     log = _Log(out / LOG_FILE, report) if first else None
     figures: dict[str, float] = {}
     clock, saved = time.monotonic() - state.elapsed_s, time.monotonic()
