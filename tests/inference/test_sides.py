@@ -81,10 +81,16 @@ MASKS = np.array([[0, 1, 1, 2, 2, 0]], np.uint8)
         ([1, -1], APART, [0, 0, 0, 1, 1, 0]),
         ([1, 0], APART, [0, 2, 2, 1, 1, 0]),
         ([-1, -1], MEETING, [0, 0, 0, 0, 0, 0]),
-        ([-1, 0], np.array([[1, 0, 4, 1], [NO] * 4]), [0, 2, 2, 0, 0, 0]),
     ],
 )
 def test_masks_follow_the_answer(source, boxes_px, expected):
     masks = corrected_masks(MASKS, np.array(source), boxes_px)
     assert masks[0].tolist() == expected and masks.dtype == np.uint8
     assert (masks is MASKS) == (source == [0, 1])
+
+
+def test_masks_of_a_lone_candidate():
+    alone, box_px = np.array([[0, 1, 1, 0]], np.uint8), np.array([[1, 0, 3, 1], [NO] * 4])
+    assert corrected_masks(alone, np.array([0, -1]), box_px) is alone  # nothing to look at again
+    assert corrected_masks(alone, np.array([-1, 0]), box_px).tolist() == [[0, 2, 2, 0]]
+    assert corrected_masks(alone, np.array([-1, -1]), box_px).tolist() == [[0, 0, 0, 0]]

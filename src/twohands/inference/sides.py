@@ -90,13 +90,13 @@ def corrected_masks(masks: np.ndarray, source: np.ndarray, boxes_px: np.ndarray)
         that it is. The pixels of a candidate that is no hand go to a hand whose box meets its own, else to the
         background.
     """
-    classes = np.zeros(3, np.uint8)
-    for candidate in (0, 1):
-        owners = np.flatnonzero(source == candidate)
+    classes = np.arange(3, dtype=np.uint8)
+    for candidate in np.flatnonzero(np.isfinite(boxes_px).all(axis=1)):
+        owners, others = np.flatnonzero(source == candidate), np.flatnonzero(source == 1 - candidate)
         if len(owners):
             classes[1 + candidate] = 1 + owners[0]
-            continue
-        others = np.flatnonzero(source == 1 - candidate)
-        if len(others) and overlap(boxes_px) > 0:
+        elif len(others) and overlap(boxes_px) > 0:
             classes[1 + candidate] = 1 + others[0]
+        else:
+            classes[1 + candidate] = 0
     return masks if classes.tolist() == [0, 1, 2] else classes[masks]
