@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from twohands.inference.sides import assign_sides, corrected_masks, log_odds, overlap
+from twohands.inference.sides import assign_sides, corrected_masks, log_odds
 
 NO = np.nan
 MEETING = np.array([[1, 0, 4, 1], [3, 0, 5, 1.0]])
 APART = np.array([[1, 0, 3, 1], [3, 0, 5, 1.0]])
-SAME = np.array([[1, 0, 4, 1], [1, 0, 5, 1.0]])
 SURE = [0.95, 0.95]
 
 
@@ -31,7 +30,7 @@ def test_log_odds_by_hand():
     ],
 )
 def test_the_most_probable_answer(seg_scores, own, turned, source):
-    found, values = assign_sides(np.array(seg_scores), np.array(own, float), np.array(turned, float), APART)
+    found, values = assign_sides(np.array(seg_scores), np.array(own, float), np.array(turned, float))
     assert found.tolist() == source
     assert np.isfinite(values[found >= 0]).all() and np.isnan(values[found < 0]).all()
 
@@ -40,32 +39,10 @@ def test_mirrored_evidence_gives_the_mirrored_answer():
     rng = np.random.default_rng(0)
     for _ in range(200):
         scores, own, turned = rng.random(2), *rng.normal(0, 4, (2, 2))
-        boxes_px = (APART, MEETING, SAME)[rng.integers(3)]
-        source, values = assign_sides(scores, own, turned, boxes_px)
-        mirrored, mirrored_values = assign_sides(scores[::-1], own[::-1], turned[::-1], boxes_px[::-1])
+        source, values = assign_sides(scores, own, turned)
+        mirrored, mirrored_values = assign_sides(scores[::-1], own[::-1], turned[::-1])
         assert mirrored.tolist() == np.array([1, 0, -1])[source[::-1]].tolist()
         np.testing.assert_array_equal(mirrored_values, values[::-1])
-
-
-@pytest.mark.parametrize(("boxes_px", "both"), [(APART, True), (SAME, False)])
-def test_two_hands_in_one_place_need_more_evidence(boxes_px, both):
-    weak, strong = np.array([4.0, 0.5]), np.array([4.0, 6.0])
-    assert assign_sides(np.array(SURE), weak - 1, np.full(2, NO), boxes_px)[0].tolist() == [0, 1 if both else -1]
-    assert assign_sides(np.array(SURE), strong, np.full(2, NO), boxes_px)[0].tolist() == [0, 1]
-
-
-@pytest.mark.parametrize(
-    ("boxes_px", "share"),
-    [
-        ([[0, 0, 4, 4], [2, 0, 4, 4]], 1.0),
-        ([[0, 0, 4, 4], [3, 3, 5, 5]], 0.25),
-        ([[0, 0, 4, 4], [4, 0, 5, 5]], 0.0),
-        ([[0, 0, 4, 4], [NO] * 4], 0.0),
-    ],
-)
-def test_overlap_by_hand(boxes_px, share):
-    assert overlap(np.array(boxes_px, float)) == share
-    assert overlap(np.array(boxes_px[::-1], float)) == share
 
 
 MASKS = np.array([[0, 1, 1, 2, 2, 0]], np.uint8)

@@ -290,7 +290,7 @@ class HandEstimator:
             mirrored = self.look_at([mirror_crop(look.crops[i]) for i in doubtful])
             turned[look.sides[doubtful]] = mirrored.hand_logits
             looks |= {(1 - side, side): mirrored.rows([i]) for i, side in enumerate(look.sides[doubtful])}
-        source, answer = assign_sides(boxes.scores, own, turned, boxes.boxes_px)
+        source, answer = assign_sides(boxes.scores, own, turned)
         scores = np.where(source >= 0, 1 / (1 + np.exp(-np.nan_to_num(answer))), boxes.scores)
         remaining = [looks[side, source[side]] for side in np.flatnonzero(source >= 0)]
         return source, scores, Look.joined(remaining) if remaining else look.rows([])
