@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from twohands.inference.sides import assign_sides, corrected_masks, log_odds
+from twohands.inference.sides import assign_sides, corrected_masks, in_one_place, log_odds
 
 NO = np.nan
 MEETING = np.array([[1, 0, 4, 1], [3, 0, 5, 1.0]])
@@ -43,6 +43,22 @@ def test_mirrored_evidence_gives_the_mirrored_answer():
         mirrored, mirrored_values = assign_sides(scores[::-1], own[::-1], turned[::-1])
         assert mirrored.tolist() == np.array([1, 0, -1])[source[::-1]].tolist()
         np.testing.assert_array_equal(mirrored_values, values[::-1])
+
+
+def test_two_hands_in_one_place_need_more_evidence():
+    doubtful = np.array([0.7, 0.6]), np.array([4.0, 1.0]), np.full(2, NO)
+    assert assign_sides(*doubtful)[0].tolist() == [0, 1]
+    assert assign_sides(*doubtful, one_place=True)[0].tolist() == [0, -1]
+    clear = np.array([0.9, 0.9]), np.array([4.0, 5.0]), np.full(2, NO)
+    assert assign_sides(*clear, one_place=True)[0].tolist() == [0, 1]
+
+
+@pytest.mark.parametrize(("shift_px", "same"), [(9.0, True), (11.0, False)])
+def test_skeletons_on_the_same_palm_are_in_one_place(shift_px, same):
+    joints_px = np.random.default_rng(0).uniform(0, 100, (2, 21, 2))  # fingers may be anywhere
+    joints_px[1, [0, 9]] = joints_px[0, [0, 9]] + [shift_px, 0]
+    boxes_px = np.array([[0, 0, 100, 80], [0, 0, 50, 50.0]])
+    assert in_one_place(joints_px, boxes_px) == same
 
 
 MASKS = np.array([[0, 1, 1, 2, 2, 0]], np.uint8)

@@ -28,7 +28,7 @@ from twohands.geometry.segmentation import (
 )
 from twohands.inference.engine import Networks, load_networks
 from twohands.inference.read_out import read_joints
-from twohands.inference.sides import CANDIDATE_THRESHOLD, TURN_BELOW, assign_sides, corrected_masks
+from twohands.inference.sides import CANDIDATE_THRESHOLD, TURN_BELOW, assign_sides, corrected_masks, in_one_place
 from twohands.inference.weights import DEFAULT_PRESET, WeightsCard, preset_folder, read_card
 from twohands.skeleton import RIGHT
 from twohands.types import GlobalPose, HandCrop, HandPose, PinholeCamera, TwoHandPose
@@ -290,7 +290,8 @@ class HandEstimator:
             mirrored = self.look_at([mirror_crop(look.crops[i]) for i in doubtful])
             turned[look.sides[doubtful]] = mirrored.hand_logits
             looks |= {(1 - side, side): mirrored.rows([i]) for i, side in enumerate(look.sides[doubtful])}
-        source, answer = assign_sides(boxes.scores, own, turned)
+        one_place = len(look.sides) == 2 and in_one_place(look.joints_px, boxes.boxes_px)
+        source, answer = assign_sides(boxes.scores, own, turned, one_place=one_place)
         scores = np.where(source >= 0, 1 / (1 + np.exp(-np.nan_to_num(answer))), boxes.scores)
         remaining = [looks[side, source[side]] for side in np.flatnonzero(source >= 0)]
         return source, scores, Look.joined(remaining) if remaining else look.rows([])
