@@ -177,7 +177,7 @@ def test_gradients_reach_pose_net_2d_through_the_maps(tmp_path):
     losses = stage(BatchDataset(SAMPLES, config)[0], 0)
     assert set(losses) == {"joint", "bone", "projection"}
     losses["joint"].backward()
-    assert max(float(p.grad.abs().max()) for p in stage.net_2d.parameters()) > 0
+    assert max(float(p.grad.abs().max()) for p in stage.net_2d.net.parameters()) > 0
 
 
 def test_pose_net_3d_needs_pose_net_2d(tmp_path):
