@@ -106,6 +106,12 @@ def test_training_can_go_on_from_an_exported_network(name, preset, networks):
             torch.testing.assert_close(loaded.state_dict()[key], wanted, rtol=5e-4, atol=1e-6)
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_no_path_of_this_machine_is_exported(name, preset):
+    content = (preset[0] / f"{name}.onnx").read_bytes()
+    assert b'File "' not in content and b"site-packages" not in content
+
+
 def test_damaged_onnx_files_are_no_checkpoints(preset, tmp_path):
     path = tmp_path / "pose_net_3d.onnx"
     path.write_bytes((preset[0] / "pose_net_3d.onnx").read_bytes()[:5000])

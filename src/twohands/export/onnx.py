@@ -97,7 +97,7 @@ def export_network(network: nn.Module, path: str | Path, note: Mapping[str, Any]
     assert program is not None
     onnxscript.optimizer.fold_constants(program.model)
     onnxscript.optimizer.remove_unused_nodes(program.model)
-    result = halve_weights(program.model_proto)
+    result = without_traces(halve_weights(program.model_proto))
     prefix = "net." if isinstance(model, HeatmapNet) else ""
     for key, value in {**describe(name, network, note), "prefix": prefix}.items():
         result.metadata_props.add(key=key, value=value)
@@ -132,6 +132,22 @@ def halve_weights(model: onnx.ModelProto) -> onnx.ModelProto:
     result.graph.node.extend([*casts, *nodes])
     onnx.checker.check_model(result)
     return result
+
+
+def without_traces(model: onnx.ModelProto) -> onnx.ModelProto:
+    """The same network without what the exporter notes about its nodes: stack traces with the paths of this machine.
+
+    Args:
+        model: changed in place.
+    """
+    for node in model.graph.node:
+        del node.metadata_props[:]
+        node.doc_string = ""
+    for value in (*model.graph.input, *model.graph.output, *model.graph.value_info, *model.graph.initializer):
+        del value.metadata_props[:]
+        value.doc_string = ""
+    del model.graph.metadata_props[:]
+    return model
 
 
 def export_preset(
