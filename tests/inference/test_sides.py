@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from twohands.inference.sides import assign_sides, corrected_masks, in_one_place, log_odds
+from twohands.geometry.segmentation import log_odds
+from twohands.inference.sides import assign_sides, corrected_masks, in_one_place
 
 NO = np.nan
 MEETING = np.array([[1, 0, 4, 1], [3, 0, 5, 1.0]])

@@ -306,9 +306,7 @@ def pose_target(
             classes = warp_image(predicted.classes, image_from_crop, size, interpolation="nearest")
         elif rng is not None and masks is not None:
             classes = spoil_masks(classes, labels == 1 + 7 * side, side, masks, rng)
-    if rng is not None and photometric is not None:
-        image = jitter_colours(image, photometric, rng)
-    composed = compose_hand_input(image, classes, np.eye(3), side, size, crop.background)
+    composed = _composed(image, classes, side, crop, photometric, rng)
 
     canonical, distance, has_3d = _canonical_target(sample, side, rolled_camera)
     mirror = MIRROR_X if side == RIGHT else np.eye(3)
@@ -353,11 +351,8 @@ def false_hand(
     """
     image_from_crop = crop_matrix(box_px, camera, side, size, crop)
     shown = warp_image(image, image_from_crop, size, interpolation="linear")
-    if rng is not None and photometric is not None:
-        shown = jitter_colours(shown, photometric, rng)
     masks = warp_image(classes, image_from_crop, size, interpolation="nearest")
-    shown = compose_hand_input(shown, masks, np.eye(3), side, size, crop.background)
-    return _without_hand(shown, image_from_crop, side)
+    return _without_hand(_composed(shown, masks, side, crop, photometric, rng), image_from_crop, side)
 
 
 def mirrored_hand(target: PoseTarget) -> PoseTarget:
@@ -379,6 +374,20 @@ def _without_hand(image: np.ndarray, image_from_crop: np.ndarray, side: int) -> 
         side=side,
         hand=False,
     )
+
+
+def _composed(
+    image: np.ndarray,
+    classes: np.ndarray,
+    side: int,
+    crop: CropConfig,
+    photometric: PhotometricConfig | None,
+    rng: np.random.Generator | None,
+) -> np.ndarray:
+    """A crop (S, S, 3) and its masks (S, S) as PoseNet2D sees them, the colours changed if `rng` is given."""
+    if rng is not None and photometric is not None:
+        image = jitter_colours(image, photometric, rng)
+    return compose_hand_input(image, classes, np.eye(3), side, len(image), crop.background)
 
 
 def _roll(crop: CropConfig, rng: np.random.Generator | None) -> np.ndarray:

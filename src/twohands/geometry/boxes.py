@@ -171,7 +171,12 @@ def _checked_box(box_px: Array) -> tuple[float, float, float, float]:
     return u0, v0, u1, v1
 
 
+def mirrored_columns(size: int) -> NDArray[np.float64]:
+    """(3, 3) homography of a picture `size` pixels wide to itself, left to right: u becomes size - u."""
+    return np.array([[-1, 0, size], [0, 1, 0], [0, 0, 1]], dtype=np.float64)
+
+
 def _mirror(side: int, size: int) -> NDArray[np.float64]:
     if side not in (LEFT, RIGHT):
         raise InputError(f"side must be LEFT ({LEFT}) or RIGHT ({RIGHT}), got {side}")
-    return np.array([[-1, 0, size], [0, 1, 0], [0, 0, 1]], dtype=np.float64) if side == RIGHT else np.eye(3)
+    return mirrored_columns(size) if side == RIGHT else np.eye(3)

@@ -162,6 +162,12 @@ def energy_box(energy: np.ndarray) -> np.ndarray | None:
     return np.array([left, top, left + width, top + height], np.float64)
 
 
+def log_odds(probabilities: np.ndarray) -> np.ndarray:
+    """log(p / (1 - p)) as float64, finite for 0 and 1 too."""
+    p = np.minimum(np.maximum(np.asarray(probabilities, np.float64), 1e-6), 1 - 1e-6)
+    return np.log(p / (1 - p))
+
+
 def hand_scores(energies: np.ndarray, seg_logits: np.ndarray) -> np.ndarray:
     """How sure HandSegNet is that each hand is there.
 
@@ -175,10 +181,9 @@ def hand_scores(energies: np.ndarray, seg_logits: np.ndarray) -> np.ndarray:
         (2,) 0..1: the mean, as log-odds, of the energy's peak and of the mask's lead over the next class where it is
         most certain.
     """
-    peaks = np.minimum(np.maximum(energies.max(axis=(1, 2)).astype(np.float64), 1e-6), 1 - 1e-6)
     planes = np.ascontiguousarray(seg_logits, np.float32)
     leads = [float(np.max(planes[1 + side] - np.maximum(planes[0], planes[2 - side]))) for side in (0, 1)]
-    return 1 / (1 + np.exp(-(np.log(peaks / (1 - peaks)) + leads) / 2))
+    return 1 / (1 + np.exp(-(log_odds(energies.max(axis=(1, 2))) + leads) / 2))
 
 
 def boxes_from_energy(

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from twohands.errors import InputError
-from twohands.geometry.boxes import apply_homography, box_iou, perspective_crop, square_crop
+from twohands.geometry.boxes import apply_homography, box_iou, mirrored_columns, perspective_crop, square_crop
 from twohands.geometry.composition import compose_hand_input
 from twohands.geometry.projection import project_global, range_weights
 from twohands.geometry.segmentation import (
@@ -348,8 +348,7 @@ class HandEstimator:
 
 def mirror_crop(crop: HandCrop) -> HandCrop:
     """The crop as that of a hand of the other side."""
-    size = crop.image.shape[1]
-    from_mirrored = np.array([[-1.0, 0.0, size], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    from_mirrored = mirrored_columns(crop.image.shape[1])
     image = np.ascontiguousarray(crop.image[:, ::-1])
     return HandCrop(image, crop.image_from_crop @ from_mirrored, 1 - crop.side, mirrored=not crop.mirrored)
 

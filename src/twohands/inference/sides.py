@@ -11,6 +11,8 @@ from typing import Final
 
 import numpy as np
 
+from twohands.geometry.boxes import box_iou
+from twohands.geometry.segmentation import log_odds
 from twohands.skeleton import ROOT, WRIST
 
 CANDIDATE_THRESHOLD: Final = 0.45
@@ -37,12 +39,6 @@ ONE_PLACE: Final = 0.1
 place."""
 ONE_PLACE_COST: Final = 1.3
 """Log-odds taken off where two hands are in one place: of 19 such pairs in generated pictures 4 were two hands."""
-
-
-def log_odds(score: np.ndarray) -> np.ndarray:
-    """log(p / (1 - p)) of probabilities."""
-    p = np.clip(np.asarray(score, np.float64), 1e-6, 1 - 1e-6)
-    return np.log(p / (1 - p))
 
 
 def assign_sides(
@@ -92,11 +88,6 @@ def in_one_place(joints_px: np.ndarray, boxes_px: np.ndarray) -> bool:
     return bool(apart < ONE_PLACE * (boxes_px[:, 2:] - boxes_px[:, :2]).max())
 
 
-def _meet(boxes_px: np.ndarray) -> bool:
-    """Whether two boxes (2, 4) have area in common; not if either is NaN."""
-    return bool((boxes_px[:, :2].max(axis=0) < boxes_px[:, 2:].min(axis=0)).all())
-
-
 def corrected_masks(masks: np.ndarray, source: np.ndarray, boxes_px: np.ndarray) -> np.ndarray:
     """Masks that agree with the answer.
 
@@ -115,7 +106,7 @@ def corrected_masks(masks: np.ndarray, source: np.ndarray, boxes_px: np.ndarray)
         owners, others = np.flatnonzero(source == candidate), np.flatnonzero(source == 1 - candidate)
         if len(owners):
             classes[1 + candidate] = 1 + owners[0]
-        elif len(others) and _meet(boxes_px):
+        elif len(others) and box_iou(*boxes_px) > 0:
             classes[1 + candidate] = 1 + others[0]
         else:
             classes[1 + candidate] = 0

@@ -319,7 +319,7 @@ class BatchDataset(Dataset[Batch]):
         rngs = [np.random.default_rng([self.config.seed, epoch, index, 1]) for epoch, index in picks]
         samples = [self.source[index] for _, index in picks]
         others: dict[int, HandSample] = {}
-        if self.config.stage != "hand_seg_net":
+        if self.config.stage != "hand_seg_net" and self.config.networks.pose_net_2d.judge:
             for i, (epoch, index) in enumerate(picks):
                 if not any(samples[i].present):
                     pick = np.random.default_rng([self.config.seed, epoch, index, 2]).integers(len(self.source))
