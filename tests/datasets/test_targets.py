@@ -21,6 +21,7 @@ from twohands.datasets.targets import (
 from twohands.datasets.transforms import MaskConfig, PhotometricConfig
 from twohands.errors import DataFormatError, InputError
 from twohands.geometry.boxes import apply_homography
+from twohands.geometry.segmentation import letterbox
 from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
 from twohands.types import HandSample
 
@@ -85,6 +86,17 @@ def test_segmentation_target_scales_labels_and_boxes():
     assert found.present.tolist() == [True, True]
 
 
+def test_segmentation_target_fits_pictures_in_as_inference_does():
+    original = sample()  # 240x135
+    found = segmentation_target(original, 192, 240)
+    canvas, place = letterbox(original.image, (192, 240))
+    assert np.array_equal(found.image, canvas)
+    assert np.array_equal(place.content(found.classes), hand_classes(original.labels))
+    top = place.top * 192
+    assert top == 28
+    assert np.allclose(found.boxes_px[LEFT], hand_box(original, LEFT) + np.array([0, top, 0, top]), atol=1e-4)
+
+
 def test_segmentation_target_needs_labels():
     with pytest.raises(DataFormatError, match="needs part labels"):
         segmentation_target(dataclasses.replace(sample(), labels=None), 64, 96)
@@ -100,9 +112,10 @@ def test_flip_equals_the_mirrored_picture():
     assert np.allclose(a.boxes_px, b.boxes_px, atol=1e-4)
 
 
-def test_zoomed_boxes_stay_on_the_hands():
+@pytest.mark.parametrize("roll", [0.0, 70.0])
+def test_zoomed_boxes_stay_on_the_hands(roll):
     original = sample()
-    config = ZoomConfig(zoom=0.4, shift=0.1, flip=0.5)
+    config = ZoomConfig(zoom=0.4, shift=0.1, flip=0.5, roll=roll)
     changed = 0
     for seed in range(20):
         found = segmentation_target(original, 135, 240, zoom=config, rng=np.random.default_rng(seed))
@@ -114,6 +127,27 @@ def test_zoomed_boxes_stay_on_the_hands():
             assert np.abs(drawn - found.boxes_px[side]).max() < 8  # bones are drawn with thick lines
             changed += not np.allclose(found.boxes_px[side], hand_box(original, side), atol=1)
     assert changed > 10
+
+
+def test_half_of_the_pictures_are_turned_and_swap_no_hands():
+    original = sample()
+    plain = segmentation_target(original, 135, 240)
+    seeds = range(40)
+    found = [
+        segmentation_target(original, 135, 240, zoom=ZoomConfig(roll=40.0), rng=np.random.default_rng(seed))
+        for seed in seeds
+    ]
+    still = [np.array_equal(turned.classes, plain.classes) for turned in found]
+    assert 10 < sum(still) < 30
+    for turned in found:
+        for side in (LEFT, RIGHT):  # the hands are in the middle: turning leaves their areas
+            areas = [(target.classes == side + 1).sum() for target in (plain, turned)]
+            assert areas[1] == pytest.approx(areas[0], rel=0.25)
+
+
+def test_a_roll_beyond_half_a_turn_is_refused():
+    with pytest.raises(InputError, match="roll"):
+        ZoomConfig(roll=200)
 
 
 @pytest.mark.parametrize("crop", [PAPER_CROP, OUR_CROP])

@@ -13,7 +13,8 @@ from twohands.errors import DataFormatError, InputError
 from twohands.geometry.boxes import apply_homography, box_from_points, perspective_crop, square_crop, warp_image
 from twohands.geometry.canonical import canonical_from_camera
 from twohands.geometry.composition import compose_hand_input
-from twohands.skeleton import LEFT, N_JOINTS, RIGHT, ROOT, WRIST
+from twohands.geometry.segmentation import letterbox
+from twohands.skeleton import N_JOINTS, RIGHT, ROOT, WRIST
 from twohands.types import HandSample, PinholeCamera
 
 MIRROR_X = np.diag([-1.0, 1.0, 1.0])
@@ -67,6 +68,12 @@ class ZoomConfig:
     """Largest shift as a fraction of the picture's size."""
     flip: float = 0.0
     """Probability of a horizontal flip; left and right swap places with it."""
+    roll: float = 0.0
+    """Half of the pictures are turned about their centre, by at most so many degrees."""
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.roll <= 180:
+            raise InputError(f"zoom: roll must lie in 0..180 degrees, got {self.roll}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +81,7 @@ class SegmentationTarget:
     """One training example of HandSegNet.
 
     Attributes:
-        image: (H, W, 3) uint8 RGB at network size.
+        image: (H, W, 3) uint8 RGB at network size, fitted in as for inference (`geometry.segmentation.letterbox`).
         classes: (H, W) uint8, 0 background, 1 left, 2 right; the forearm belongs to its hand (SPEC 2).
         boxes_px: (2, 4) float32 u0, v0, u1, v1 in pixels of `image`, clipped to it; 0 for an absent hand.
         present: (2,) bool.
@@ -141,13 +148,8 @@ def hand_box(sample: HandSample, side: int) -> np.ndarray | None:
     Returns:
         (4,) u0, v0, u1, v1 in pixels; None if the hand is absent or less than 2 pixels of it are in the picture.
     """
-    usable = np.asarray(sample.valid[side]) & np.isfinite(sample.joints_px[side]).all(axis=-1)
-    if not sample.present[side] or usable.sum() < 2:
-        return None
-    box = np.asarray(box_from_points(sample.joints_px[side], usable), dtype=np.float64)
-    height, width = sample.image.shape[:2]
-    box = np.clip(box, 0, [width, height, width, height])
-    return box if min(box[2] - box[0], box[3] - box[1]) >= 2 else None
+    boxes, found = _boxes_inside(_hand_points(sample)[[side]], *sample.image.shape[1::-1])
+    return boxes[0] if found[0] else None
 
 
 def segmentation_target(
@@ -173,49 +175,72 @@ def segmentation_target(
     if sample.labels is None:
         raise DataFormatError(f"{sample.source}: HandSegNet needs part labels, this sample has none")
     full_height, full_width = sample.image.shape[:2]
-    image = cv2.resize(sample.image, (width, height), interpolation=cv2.INTER_AREA)
-    rows = ((np.arange(height) + 0.5) * full_height / height).astype(int)
-    cols = ((np.arange(width) + 0.5) * full_width / width).astype(int)
+    image, place = letterbox(sample.image, (height, width))
+    scale = np.array([place.width * width / full_width, place.height * height / full_height])
+    corner = np.array([place.left * width, place.top * height])
+    cols, rows = (
+        np.clip((np.arange(size) + 0.5 - corner[axis]) / scale[axis], 0, full - 1).astype(int)
+        for axis, (size, full) in enumerate([(width, full_width), (height, full_height)])
+    )
     classes = hand_classes(sample.labels[np.ix_(rows, cols)])
-
-    found = [hand_box(sample, side) for side in (LEFT, RIGHT)]
-    scale = np.array([width / full_width, height / full_height] * 2)
-    boxes = np.stack([np.zeros(4) if box is None else box * scale for box in found])
-    present = np.array([box is not None for box in found])
-
+    points = _hand_points(sample) * scale + corner
+    boxes, present = _boxes_inside(points, width, height)
     if rng is not None:
         if zoom is not None:
-            image, classes, boxes, present = _zoomed(image, classes, boxes, present, zoom, rng)
+            image, classes, boxes, present = _zoomed(image, classes, points, zoom, rng)
         if photometric is not None:
             image = jitter_colours(image, photometric, rng)
     return SegmentationTarget(image, classes, boxes.astype(np.float32), present)
 
 
-def _zoomed(image, classes, boxes, present, config: ZoomConfig, rng: np.random.Generator):
-    """Scale about the centre, shift, perhaps flip (swapping left and right); the border goes on outside, so that arms
-    that leave the picture are not cut off."""
+def _hand_points(sample: HandSample) -> np.ndarray:
+    """(2, 21, 2) joints, moved into the picture where they lie outside; NaN where unknown or of an absent hand."""
+    height, width = sample.image.shape[:2]
+    points = np.asarray(sample.joints_px, np.float64)
+    known = np.asarray(sample.valid) & np.asarray(sample.present)[:, None] & np.isfinite(points).all(axis=-1)
+    return np.where(known[..., None], np.clip(points, 0, [width, height]), np.nan)
+
+
+def _boxes_inside(points: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+    """Tight boxes of hands (N, K, 2), clipped to the picture, (N, 4), 0 for a hand of which less than 2 pixels are
+    inside; and whether there is one, (N,)."""
+    known = np.isfinite(points).all(axis=-1, keepdims=True)
+    boxes = np.concatenate(
+        [
+            np.where(known, points, np.inf).min(axis=1),
+            np.where(known, points, -np.inf).max(axis=1),
+        ],
+        axis=1,
+    )
+    boxes = np.clip(boxes, 0, [width, height, width, height])
+    present = np.minimum(boxes[:, 2] - boxes[:, 0], boxes[:, 3] - boxes[:, 1]) >= 2
+    return np.where(present[:, None], boxes, 0.0), present
+
+
+def _zoomed(image, classes, points, config: ZoomConfig, rng: np.random.Generator):
+    """Scale about the centre, shift, perhaps flip (swapping left and right), perhaps turn; the border goes on outside,
+    so that arms that leave the picture are not cut off. Returns the picture, classes, boxes and who is present."""
     height, width = classes.shape
     scale = 2.0 ** rng.uniform(-config.zoom, config.zoom)
     shift = rng.uniform(-config.shift, config.shift, 2) * [width, height]
     flip = rng.random() < config.flip
-    # out = scale * (in - centre) + centre + shift, in corner-based pixels; then u -> width - u
-    offset = np.array([width, height]) / 2 * (1 - scale) + shift
-    matrix = np.array([[scale, 0, offset[0]], [0, scale, offset[1]]])
-    if flip:
-        matrix[0] = [-scale, 0, width - offset[0]]
+    turned = config.roll > 0 and rng.random() < 0.5
+    angle = np.radians(rng.uniform(-config.roll, config.roll)) if turned else 0.0
+    # out = turn(flip(scale * (in - centre))) + centre + shift, in corner-based pixels
+    cosine, sine = np.cos(angle), np.sin(angle)
+    linear = scale * np.array([[cosine, -sine], [sine, cosine]]) @ np.diag([-1.0 if flip else 1.0, 1.0])
+    centre = np.array([width, height]) / 2
+    matrix = np.column_stack([linear, centre + shift * [-1 if flip else 1, 1] - linear @ centre])
     centred = matrix.copy()
     centred[:, 2] += matrix[:, :2] @ [0.5, 0.5] - 0.5  # cv2 counts from the first pixel's centre
     edge = cv2.BORDER_REPLICATE
     image = cv2.warpAffine(image, centred, (width, height), flags=cv2.INTER_LINEAR, borderMode=edge)
     classes = cv2.warpAffine(classes, centred, (width, height), flags=cv2.INTER_NEAREST, borderMode=edge)
-    corners = boxes.reshape(2, 2, 2) * np.diag(matrix[:, :2]) + matrix[:, 2]
-    boxes = np.concatenate([corners.min(axis=1), corners.max(axis=1)], axis=1)
-    boxes = np.clip(boxes, 0, [width, height, width, height])
-    present = present & (np.minimum(boxes[:, 2] - boxes[:, 0], boxes[:, 3] - boxes[:, 1]) >= 2)
+    boxes, present = _boxes_inside(points @ linear.T + matrix[:, 2], width, height)
     if flip:
         classes = np.array([0, 2, 1], np.uint8)[np.asarray(classes, np.uint8)]
         boxes, present = boxes[::-1], present[::-1]
-    return image, classes, np.where(present[:, None], boxes, 0.0), present
+    return image, classes, boxes, present
 
 
 def crop_matrix(

@@ -23,7 +23,7 @@ OPENING_SIZE = 5
 """Side of the opening's kernel on a map of REFERENCE_WIDTH; smaller maps take a smaller kernel."""
 REFERENCE_WIDTH = 512
 STRETCH = 0.05
-"""Pictures whose aspect ratio is this close to the network's input are stretched to fill it, as in training."""
+"""Pictures whose aspect ratio is this close to the network's input are stretched to fill it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ def letterbox(image: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, Let
     """Fit a picture into a network's input without stretching it.
 
     A picture of nearly the input's own aspect ratio fills it. Any other is centred, so that hands keep the shape that
-    the network has learned, and its border goes on outside, as for zoomed-out pictures in training.
+    the network has learned, and its border goes on outside, as in training.
 
     Args:
         image: (H, W, 3) uint8.
