@@ -236,10 +236,15 @@ def _blurred(picture: np.ndarray, sigma: float) -> np.ndarray:
     return np.asarray(cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR))
 
 
+def skin_like(rng: np.random.Generator, count: int) -> np.ndarray:
+    """(count, 3) RGB colours about those of skin, light to dark, up to 260 or so."""
+    return np.array([200.0, 150.0, 120.0]) * rng.uniform(0.25, 1.2, (count, 1)) + rng.normal(0, 12, (count, 3))
+
+
 def _draw_shapes(canvas: np.ndarray, rng: np.random.Generator, count: int) -> None:
     """Polygons, ellipses and bars; some in skin colours, so that colour alone does not give a hand away."""
     height, width = canvas.shape[:2]
-    skin = np.array([200.0, 150.0, 120.0]) * rng.uniform(0.25, 1.2, (count, 1)) + rng.normal(0, 12, (count, 3))
+    skin = skin_like(rng, count)
     colours = np.where(rng.random((count, 1)) < 0.3, skin, rng.uniform(0, 255, (count, 3)))
     centres = rng.uniform(-0.1, 1.1, (count, 2)) * [width, height]
     sizes = np.exp(rng.uniform(np.log(0.02), np.log(0.5), count)) * width

@@ -42,6 +42,8 @@ class DataConfig:
     """Folders of photographs to put behind rendered hands, separated by commas; procedural backgrounds if empty."""
     procedural: float = 0.3
     """Share of procedural backgrounds among the photographs; the folders share the rest equally."""
+    clutter: float = 0.0
+    """Share of backgrounds with things laid over that could be taken for hands (`synth.clutter`)."""
     empty: float = 0.04
     """Share of pictures from cached frames that show no hand, for HandSegNet and for PoseNet2D's judge."""
     variants: int = 20
@@ -51,6 +53,11 @@ class DataConfig:
     and from which validation crops; empty for true masks alone."""
     workers: int = 1
     """Processes that prepare batches; 0 prepares them in the training process. The result is the same."""
+
+    def __post_init__(self) -> None:
+        for name in ("procedural", "clutter", "empty"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise InputError(f"data.{name} must lie in [0, 1], got {getattr(self, name)}")
 
 
 @dataclass(frozen=True)

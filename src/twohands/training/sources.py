@@ -81,12 +81,14 @@ def _synthetic(spec: DataConfig) -> SampleSource:
     return SyntheticStream(config, seed, SYNTHETIC_SIZE, _backgrounds(spec))
 
 
-def _backgrounds(spec: DataConfig) -> Backgrounds | None:
-    """What to put behind rendered hands; None for procedural backgrounds alone."""
+def _backgrounds(spec: DataConfig) -> Backgrounds:
+    """What to put behind rendered hands."""
     from twohands.synth.backgrounds import BackgroundFolder, MixedBackgrounds, ProceduralBackgrounds
+    from twohands.synth.clutter import ClutteredBackgrounds
 
+    backgrounds: Backgrounds = ProceduralBackgrounds()
     folders = [BackgroundFolder(Path(name.strip())) for name in spec.backgrounds.split(",") if name.strip()]
-    if not folders:
-        return None
-    share = (1 - spec.procedural) / len(folders)
-    return MixedBackgrounds((*folders, ProceduralBackgrounds()), (*[share] * len(folders), spec.procedural))
+    if folders:
+        share = (1 - spec.procedural) / len(folders)
+        backgrounds = MixedBackgrounds((*folders, backgrounds), (*[share] * len(folders), spec.procedural))
+    return ClutteredBackgrounds(backgrounds, spec.clutter) if spec.clutter else backgrounds
