@@ -62,3 +62,9 @@ def test_a_dimmed_background_keeps_what_the_mask_missed():
         IMAGE, MASKS, np.array([[1.0, 0, -100], [0, 1, 0], [0, 0, 1]]), LEFT, 4, background=0.25
     )
     assert not beyond.any()
+
+
+def test_a_full_background_leaves_the_other_hand_too():
+    """The ablation without segmentation: the masks change nothing."""
+    crop = compose_hand_input(IMAGE, MASKS, IDENTITY, LEFT, 4, background=1.0)
+    np.testing.assert_array_equal(crop, IMAGE)

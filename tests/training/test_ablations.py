@@ -30,5 +30,5 @@ def test_a_row_changes_what_it_names_and_starts_from_fitting_networks():
 
 
 def test_the_table():
-    results = {"row": TrainResult(7, 1.0, {"crop_px_median": 1.234, "canonical_mean": 0.1}, {})}
+    results = {"row": TrainResult(7, 1.0, {"image_px_median": 1.234, "canonical_mean": 0.1}, {})}
     assert table(results).splitlines()[2] == "| row | 7 | 1.23 |  |  | 10.00 |  |"

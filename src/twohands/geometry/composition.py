@@ -29,7 +29,8 @@ def compose_hand_input(
         side: LEFT or RIGHT, the hand in question.
         size: side of the crop in pixels.
         background: brightness of the background, 0..1. 0 is the paper's. Dimming it instead leaves a finger that the
-            mask missed visible, so that one wrong mask does not spoil the stages behind it.
+            mask missed visible, so that one wrong mask does not spoil the stages behind it. The other hand is never
+            darker than the background: 1 leaves the crop as it is, the masks unused.
 
     Returns:
         (size, size, 3) uint8: crop * mask(this hand) + 0.5 * crop * mask(other hand) + `background` * the rest, rounded
@@ -41,5 +42,5 @@ def compose_hand_input(
     crop = warp_image(image, image_from_crop, size)
     mask = warp_image(masks, mask_per_image[:, None] * image_from_crop, size, interpolation="nearest")
     weight = np.full(256, background, dtype=np.float32)
-    weight[1 + side], weight[2 - side] = 1.0, OTHER_HAND_WEIGHT
+    weight[1 + side], weight[2 - side] = 1.0, max(OTHER_HAND_WEIGHT, background)
     return (crop * weight[mask][..., None]).astype(np.uint8)
