@@ -187,6 +187,18 @@ def test_pose_net_3d_needs_pose_net_2d(tmp_path):
         build_stage(tiny_run("hand_seg_net"), pose_weights(tmp_path))
 
 
+def test_hand_seg_net_can_go_on_with_pictures_of_another_size(tmp_path):
+    config = tiny_run("hand_seg_net")
+    shape = config.networks.hand_seg_net
+    torch.manual_seed(3)
+    old = build_network("hand_seg_net", dataclasses.replace(shape, width_px=shape.width_px + 32))
+    save_network("hand_seg_net", old, tmp_path / "old.safetensors")
+    stage = build_stage(config, [tmp_path / "old.safetensors"])
+    assert stage.networks()["hand_seg_net"].config == shape
+    for name, value in old.state_dict().items():
+        assert torch.equal(stage.net.state_dict()[name], value)
+
+
 def test_weights_without_a_judge_can_be_taught_to_judge(tmp_path):
     """The weights shipped until November 2026 had none."""
     config = tiny_run("pose_net_2d")

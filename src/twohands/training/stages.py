@@ -15,7 +15,7 @@ from twohands.errors import InputError
 from twohands.geometry.boxes import apply_homography
 from twohands.geometry.heatmaps import decode_softargmax, decode_subpixel, encode_energy, encode_heatmaps
 from twohands.models.checkpoint import load_network, network_name
-from twohands.models.hand_seg_net import HandSegNet
+from twohands.models.hand_seg_net import HandSegNet, HandSegNetConfig
 from twohands.models.pose_net_2d import MAP_SIZE, PoseNet2D, PoseNet2DConfig
 from twohands.models.pose_net_3d import PoseNet3D
 from twohands.training import losses
@@ -312,7 +312,7 @@ def build_stage(config: TrainConfig, weights: Sequence[Path] = (), *, require_we
 def _fill(known: Mapping[str, nn.Module], path: Path) -> str:
     """Load a checkpoint into the network of a stage that it belongs to; returns that network's name.
 
-    PoseNet2D may come without a judge: the run's own stays fresh.
+    PoseNet2D may come without a judge: the run's own stays fresh. HandSegNet may come from pictures of another size.
     """
     found = network_name(path)
     name = (
@@ -321,7 +321,16 @@ def _fill(known: Mapping[str, nn.Module], path: Path) -> str:
     loaded, wanted = load_network(name, path), known[name]
     found, asked = cast(Any, loaded.config), cast(Any, wanted.config)
     no_judge = isinstance(found, PoseNet2DConfig) and not found.judge
-    if found != asked and not (no_judge and dataclasses.replace(found, judge=True) == asked):
+    if _with_free_settings(found, asked) != asked:
         raise InputError(f"{path}: {name} has the shape {found}, but this run asks for {asked}")
     wanted.load_state_dict(loaded.state_dict(), strict=not no_judge)
     return name
+
+
+def _with_free_settings(found: Any, asked: Any) -> Any:
+    """The configuration of a loaded network, with what may differ taken from the one that is asked for."""
+    if isinstance(found, HandSegNetConfig) and isinstance(asked, HandSegNetConfig):
+        return dataclasses.replace(found, height=asked.height, width_px=asked.width_px)
+    if isinstance(found, PoseNet2DConfig) and not found.judge and isinstance(asked, PoseNet2DConfig):
+        return dataclasses.replace(found, judge=asked.judge)
+    return found

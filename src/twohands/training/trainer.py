@@ -181,7 +181,7 @@ def train(
     fabric.launch()
     batches = BatchDataset(source, config, fabric.global_rank, fabric.world_size, open_segmentation)
     first = fabric.is_global_zero
-    state = _start(config, weights, resume)
+    state = _start(config, () if resume else weights, resume)
     share_batch_norm(state.stage)
     model, optimizer = fabric.setup(state.stage, state.optimizer)
     if state.average is not None:
