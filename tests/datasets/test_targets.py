@@ -20,7 +20,7 @@ from twohands.datasets.targets import (
 )
 from twohands.datasets.transforms import MaskConfig, PhotometricConfig
 from twohands.errors import DataFormatError, InputError
-from twohands.geometry.boxes import apply_homography
+from twohands.geometry.boxes import apply_homography, box_iou
 from twohands.geometry.segmentation import letterbox
 from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
 from twohands.types import HandSample
@@ -145,9 +145,34 @@ def test_half_of_the_pictures_are_turned_and_swap_no_hands():
             assert areas[1] == pytest.approx(areas[0], rel=0.25)
 
 
-def test_a_roll_beyond_half_a_turn_is_refused():
-    with pytest.raises(InputError, match="roll"):
-        ZoomConfig(roll=200)
+def test_a_close_hand_fills_a_good_part_of_the_height_and_is_in_the_picture():
+    original = sample(present=(True, False))
+    sizes = []
+    for seed in range(40):
+        config = ZoomConfig(flip=0.5, close=1.0)
+        found = segmentation_target(original, 135, 240, zoom=config, rng=np.random.default_rng(seed))
+        side = LEFT if found.present[LEFT] else RIGHT
+        box = found.boxes_px[side]
+        sizes.append((box[2:] - box[:2]).max() / 135)
+        rows, cols = np.nonzero(found.classes == side + 1)
+        drawn = np.array([cols.min(), rows.min(), cols.max() + 1, rows.max() + 1])
+        assert box_iou(drawn, box) > 0.6  # bones are drawn with thick lines
+        assert (box[:2] >= -1e-3).all() and (box[2:] <= [240, 135]).all()
+    whole = segmentation_target(original, 135, 240).boxes_px[LEFT]
+    assert min(sizes) > 0.99 * min(0.25, (whole[2:] - whole[:2]).max() / 135)
+    assert max(sizes) > 0.6
+
+
+def test_a_picture_without_hands_has_none_to_bring_near():
+    empty = sample(present=(False, False))
+    found = segmentation_target(empty, 135, 240, zoom=ZoomConfig(close=1.0), rng=np.random.default_rng(0))
+    assert np.array_equal(found.image, empty.image)
+
+
+@pytest.mark.parametrize("wrong", [{"roll": 200}, {"close": 1.5}])
+def test_a_zoom_out_of_range_is_refused(wrong):
+    with pytest.raises(InputError, match=next(iter(wrong))):
+        ZoomConfig(**wrong)
 
 
 @pytest.mark.parametrize("crop", [PAPER_CROP, OUR_CROP])

@@ -70,10 +70,21 @@ class ZoomConfig:
     """Probability of a horizontal flip; left and right swap places with it."""
     roll: float = 0.0
     """Half of the pictures are turned about their centre, by at most so many degrees."""
+    close: float = 0.0
+    """Share of pictures cut to a part in which one hand fills 25 to 80 % of the height (`CLOSE`): a person who shows a
+    hand to a webcam holds it nearer than an egocentric camera ever sees it."""
 
     def __post_init__(self) -> None:
+        if not 0 <= self.close <= 1:
+            raise InputError(f"zoom: close must lie in 0..1, got {self.close}")
         if not 0 <= self.roll <= 180:
             raise InputError(f"zoom: roll must lie in 0..180 degrees, got {self.roll}")
+
+
+CLOSE = (0.25, 0.8)
+"""Range of a close hand's size: the larger side of its box over the picture's height."""
+LARGEST_ZOOM = 3.0
+"""A close hand is enlarged no further than this: there is no more detail in the picture."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,11 +237,15 @@ def _zoomed(image, classes, points, config: ZoomConfig, rng: np.random.Generator
     flip = rng.random() < config.flip
     turned = config.roll > 0 and rng.random() < 0.5
     angle = np.radians(rng.uniform(-config.roll, config.roll)) if turned else 0.0
-    # out = turn(flip(scale * (in - centre))) + centre + shift, in corner-based pixels
+    # out = turn(flip(scale * (in - centre))) + middle + shift, in corner-based pixels
     cosine, sine = np.cos(angle), np.sin(angle)
+    middle = np.array([width, height]) / 2
+    centre = middle
+    if config.close > 0 and rng.random() < config.close:
+        centre, scale = _close_up(points, width, height, rng)
+        shift = np.zeros(2)
     linear = scale * np.array([[cosine, -sine], [sine, cosine]]) @ np.diag([-1.0 if flip else 1.0, 1.0])
-    centre = np.array([width, height]) / 2
-    matrix = np.column_stack([linear, centre + shift * [-1 if flip else 1, 1] - linear @ centre])
+    matrix = np.column_stack([linear, middle + shift * [-1 if flip else 1, 1] - linear @ centre])
     centred = matrix.copy()
     centred[:, 2] += matrix[:, :2] @ [0.5, 0.5] - 0.5  # cv2 counts from the first pixel's centre
     edge = cv2.BORDER_REPLICATE
@@ -241,6 +256,22 @@ def _zoomed(image, classes, points, config: ZoomConfig, rng: np.random.Generator
         classes = np.array([0, 2, 1], np.uint8)[np.asarray(classes, np.uint8)]
         boxes, present = boxes[::-1], present[::-1]
     return image, classes, boxes, present
+
+
+def _close_up(points, width: int, height: int, rng: np.random.Generator) -> tuple[np.ndarray, float]:
+    """Centre and scale of a part of the picture, at most the whole, in which one of the hands is near and its box
+    inside; the whole where there is no hand."""
+    corner = np.array([width, height], np.float64)
+    boxes, present = _boxes_inside(points, width, height)
+    if not present.any():
+        return corner / 2, 1.0
+    box = boxes[rng.choice(np.flatnonzero(present))]
+    larger = max(box[2:] - box[:2])
+    scale = float(np.clip(np.exp(rng.uniform(*np.log(CLOSE))) * height / larger, 1, LARGEST_ZOOM))
+    half = corner / 2 / scale
+    room = np.maximum(half - larger / 2, 0)
+    centre = (box[:2] + box[2:]) / 2 + rng.uniform(-room, room)
+    return np.clip(centre, half, corner - half), scale
 
 
 def crop_matrix(
