@@ -3,12 +3,12 @@
     python -m benchmarks.ablations --data FRAMES --out runs/ablations --iterations 800
 
 The full networks are beyond a CPU, so the rows are those of a small one: recipe `ours` with a fresh PoseNet2D 0.4
-times as wide as our slim one, the background blacked out as in the paper, and PoseNet2D fixed while PoseNet3D learns.
-The slim network has no form without batch normalisation: that pair of rows trains a narrow pose machine of two stages,
-on batches of a quarter. Every row changes what it names and nothing else. Stages are studied alone, as in the paper's
-isolated analysis: true boxes and masks, and for PoseNet3D the maps of the 2D row that it starts from. Figures are those
-of the held-out pictures at the ends of the folders. The rows are trained one after the other; a run that was killed
-goes on with the same command, finished rows are not trained again.
+times as wide as our slim one, upright crops, the background blacked out as in the paper, and PoseNet2D fixed while
+PoseNet3D learns. The slim network has no form without batch normalisation: that pair of rows trains a narrow pose
+machine of two stages, on batches of a quarter. Every row changes what it names and nothing else. Stages are studied
+alone, as in the paper's isolated analysis: true boxes and masks, and for PoseNet3D the maps of the 2D row that it
+starts from. Figures are those of the held-out pictures at the ends of the folders. The rows are trained one after the
+other; a run that was killed goes on with the same command, finished rows are not trained again.
 
 What needs no training is in `benchmarks/pipeline_ablations.py`.
 """
@@ -31,7 +31,7 @@ from twohands.training.trainer import TrainResult, train
 
 SMALL = (
     *("max_minutes=0", "optim.along_rate=0", "crop.background=0"),
-    *("data.empty=0", "augment.mirrored=0", "networks.pose_net_3d.width=0.5"),
+    *("data.empty=0", "data.clutter=0", "crop.roll=0", "augment.mirrored=0", "networks.pose_net_3d.width=0.5"),
 )
 """What all rows change in recipe `ours`."""
 SLIM_2D = dataclasses.replace(SLIM.pose_net_2d, width=0.5, judge=False)

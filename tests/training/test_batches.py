@@ -92,7 +92,7 @@ def judging(config, **augment):
 
 def test_mirrored_crops_are_no_hands_of_their_side():
     config = judging(tiny_run("pose_net_2d"), mirrored=1.0, predicted=0.0)
-    centred = dataclasses.replace(config.crop, shift=0.0, smallest=1.0, largest=1.0)
+    centred = dataclasses.replace(config.crop, shift=0.0, smallest=1.0, largest=1.0, roll=0.0)
     config = dataclasses.replace(config, crop=centred)
     mirrored = pose_batch(SAMPLES, config, [np.random.default_rng(i) for i in range(len(SAMPLES))])
     plain = pose_batch(SAMPLES, config, ())  # as for validation

@@ -37,6 +37,6 @@ def plain(config: TrainConfig) -> TrainConfig:
     return dataclasses.replace(
         config,
         augment=AugmentConfig(),
-        crop=dataclasses.replace(config.crop, shift=0.0, smallest=1.0, largest=1.0),
+        crop=dataclasses.replace(config.crop, shift=0.0, smallest=1.0, largest=1.0, roll=0.0),
         optim=dataclasses.replace(config.optim, learning_rate=5e-3, ema=0.0, warm_up=1, weight_decay=0.0),
     )

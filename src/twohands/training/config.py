@@ -263,9 +263,9 @@ def with_override(config: TrainConfig, assignment: str) -> TrainConfig:
 def recipe(name: RecipeName, stage: StageName) -> TrainConfig:
     """The run of one stage under one recipe, with no data source yet.
 
-    "paper": SPEC 9. "ours": slim networks and a loss that learns fast (DESIGN 8), strong random changes, imperfect
-    masks, averaged weights; PoseNet3D learns on PoseNet2D's own maps while PoseNet2D keeps learning, because the depth
-    cue travels in the maps' spread.
+    "paper": SPEC 9. "ours": slim networks and a loss that learns fast (DESIGN 8), random changes that real pictures
+    know, imperfect masks, averaged weights; PoseNet3D learns on PoseNet2D's own maps while PoseNet2D keeps learning,
+    because the depth cue travels in the maps' spread.
 
     Raises:
         InputError: unknown recipe or stage.
@@ -283,6 +283,7 @@ def recipe(name: RecipeName, stage: StageName) -> TrainConfig:
         )
     if name != "ours":
         raise InputError(f"unknown recipe '{name}'; one of {', '.join(get_args(RecipeName))}")
+    pose = stage != "hand_seg_net"
     return TrainConfig(
         stage=stage,
         recipe="ours",
@@ -291,25 +292,28 @@ def recipe(name: RecipeName, stage: StageName) -> TrainConfig:
         batch_images=16,
         precision="bf16-mixed",
         networks=SLIM,
-        crop=CropConfig("perspective", margin=1.5, shift=0.1, smallest=0.9, largest=1.2, background=0.3),
+        data=DataConfig(clutter=0.25 if pose else 0.4, empty=0.04 if pose else 0.1),
+        crop=CropConfig("perspective", margin=1.4, shift=0.05, smallest=0.95, largest=1.07, roll=60.0, background=0.3),
         augment=AugmentConfig(
             photometric=PhotometricConfig(
-                brightness=0.1, contrast=0.25, gamma=0.5, hue=0.05, saturation=0.3, blur=0.8, noise=0.04, texture=0.12
+                brightness=0.06, contrast=0.15, gamma=0.3, hue=0.02, saturation=0.2, blur=0.4, noise=0.02, texture=0.03
             ),
             masks=MaskConfig(coarse=0.5, border=0.03, holes=0.15, spill=0.2, confusion=0.15, no_arm=0.15),
-            mirrored=0.12,
-            zoom=ZoomConfig(zoom=0.4, shift=0.1, flip=0.5),
+            predicted=0.5,
+            mirrored=0.25,
+            zoom=ZoomConfig(zoom=0.4, shift=0.05, flip=0.5, roll=45.0, close=0.25),
         ),
         loss=LossConfig(
             heatmap="cross-entropy",
             soft_argmax=1.0,
             energy_kind="cross-entropy",
-            energy=3.0,  # its errors are spread over all pixels: without this the masks drown it
+            energy=4.0,  # its errors are spread over all pixels: without this the masks drown it
             joint_norm="l1",
             joint=10.0,
             bone=5.0,
             projection=2.0,
-            heatmap_along=0.3,
+            heatmap_along=1.0,
+            judge=2.5,
         ),
         optim=OptimConfig(
             "adamw",
@@ -319,6 +323,6 @@ def recipe(name: RecipeName, stage: StageName) -> TrainConfig:
             warm_up=100,
             clip=5.0,
             ema=0.998,
-            along_rate=0.3,
+            along_rate=1.0,
         ),
     )
