@@ -42,7 +42,7 @@ def rows(folder) -> list[dict[str, str]]:
 @pytest.mark.parametrize(
     ("stage", "iterations", "figure", "reached"),
     [
-        ("hand_seg_net", 160, "miou", lambda value: value > 0.5),
+        ("hand_seg_net", 220, "miou", lambda value: value > 0.5),
         ("pose_net_2d", 60, "crop_px_mean", lambda value: value < 4),
         ("pose_net_3d", 80, "canonical_mean", lambda value: value < 0.3),
     ],
