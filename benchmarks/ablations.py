@@ -74,10 +74,13 @@ ROWS = (
     Row("3D: L_j + L_bone", "pose_net_3d", ("loss.projection=0",), BASE),
     Row("3D: L_j + L_bone + L_proj", "pose_net_3d", (), BASE),
     Row("3D: all three, plain heatmaps", "pose_net_3d", ("loss.z_heatmaps=false",), PLAIN),
-    Row("2D: pose machine", "pose_net_2d", (), "", POSE_MACHINE, 4),
+    Row("2D: pose machine", "pose_net_2d", network=POSE_MACHINE, pictures=4),
     Row(
-        *("2D: pose machine, no batch norm", "pose_net_2d", ("networks.pose_net_2d.batch_norm=false",)),
-        *("", POSE_MACHINE, 4),
+        "2D: pose machine, no batch norm",
+        "pose_net_2d",
+        ("networks.pose_net_2d.batch_norm=false",),
+        network=POSE_MACHINE,
+        pictures=4,
     ),
 )
 FIGURES = {

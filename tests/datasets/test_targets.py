@@ -163,6 +163,15 @@ def test_a_close_hand_fills_a_good_part_of_the_height_and_is_in_the_picture():
     assert max(sizes) > 0.6
 
 
+@pytest.mark.parametrize(("left", "there"), [(20.0, True), (-50.0, True), (-85.0, False), (-200.0, False)])
+def test_a_hand_of_which_a_sliver_is_left_is_absent(left, there):
+    """100 pixels wide: half of it inside is a hand, 15 % are none."""
+    hand = np.array([[left, 10.0], [left + 100, 10.0], [left + 100, 60.0], [np.nan, np.nan]])
+    boxes, present = targets._boxes_inside(hand[None], 240, 135)
+    assert present.tolist() == [there]
+    assert boxes[0].tolist() == ([max(left, 0), 10, left + 100, 60] if there else [0, 0, 0, 0])
+
+
 def test_a_picture_without_hands_has_none_to_bring_near():
     empty = sample(present=(False, False))
     found = segmentation_target(empty, 135, 240, zoom=ZoomConfig(close=1.0), rng=np.random.default_rng(0))

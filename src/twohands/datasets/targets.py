@@ -83,6 +83,8 @@ class ZoomConfig:
 
 CLOSE = (0.25, 0.8)
 """Range of a close hand's size: the larger side of its box over the picture's height."""
+LEAST_INSIDE = 0.2
+"""A hand of whose box a change has left less than this in the picture counts as absent."""
 LARGEST_ZOOM = 3.0
 """A close hand is enlarged no further than this: there is no more detail in the picture."""
 
@@ -213,19 +215,14 @@ def _hand_points(sample: HandSample) -> np.ndarray:
 
 
 def _boxes_inside(points: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
-    """Tight boxes of hands (N, K, 2), clipped to the picture, (N, 4), 0 for a hand of which less than 2 pixels are
-    inside; and whether there is one, (N,)."""
+    """Tight boxes of hands (N, K, 2), clipped to the picture, (N, 4), 0 for a hand of which less than 2 pixels or
+    `LEAST_INSIDE` of its box are inside; and whether there is one, (N,)."""
     known = np.isfinite(points).all(axis=-1, keepdims=True)
-    boxes = np.concatenate(
-        [
-            np.where(known, points, np.inf).min(axis=1),
-            np.where(known, points, -np.inf).max(axis=1),
-        ],
-        axis=1,
-    )
-    boxes = np.clip(boxes, 0, [width, height, width, height])
-    present = np.minimum(boxes[:, 2] - boxes[:, 0], boxes[:, 3] - boxes[:, 1]) >= 2
-    return np.where(present[:, None], boxes, 0.0), present
+    low, high = np.where(known, points, np.inf).min(axis=1), np.where(known, points, -np.inf).max(axis=1)
+    inside = np.clip(np.stack([low, high]), 0, [width, height])
+    sizes, whole = inside[1] - inside[0], np.maximum(high - low, 0)
+    present = (sizes.min(axis=1) >= 2) & (sizes.prod(axis=1) >= LEAST_INSIDE * whole.prod(axis=1))
+    return np.where(present[:, None], np.concatenate(list(inside), axis=1), 0.0), present
 
 
 def _zoomed(image, classes, points, config: ZoomConfig, rng: np.random.Generator):
