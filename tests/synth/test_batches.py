@@ -158,3 +158,14 @@ def test_states_of_an_arm(body):
     assert 0 < reached.mean() < 1
     np.testing.assert_allclose(joints, one_by_one(lambda s: arm.joints(s)[0], states), atol=1e-12)
     np.testing.assert_array_equal(reached, one_by_one(lambda s: arm.joints(s)[1], states))
+
+
+def test_gestures_are_hands_with_stretched_and_curled_fingers():
+    def share(gestures):
+        """Of hands with a straight finger beside a curled one."""
+        fingers = sample_angles(np.random.default_rng(0), (4000,), gestures).fingers
+        bend = fingers[..., 1] + fingers[..., 2]
+        return ((bend < np.radians(45)).any(-1) & (bend > np.radians(95)).any(-1)).mean()
+
+    assert share(1.0) > 0.8
+    assert share(0.0) < share(0.15) < share(0.5) < share(1.0)

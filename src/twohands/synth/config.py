@@ -9,7 +9,7 @@ from twohands.types import PinholeCamera
 
 SHARES = (
     *("together", "sleeves", "gloves", "objects", "watches", "rings"),
-    *("background_light", "sensor", "webcam", "free_view", "skin_detail"),
+    *("background_light", "sensor", "webcam", "free_view", "skin_detail", "gestures"),
 )
 """Settings of `SynthConfig` between 0 and 1."""
 
@@ -43,6 +43,8 @@ class SynthConfig:
     """Strength of veins, creases, freckles and moles, which differ from person to person; 0 draws none."""
     min_inside: int = 21
     """At least this many of a hand's 21 joints lie inside the image, `image_margin` away from its border."""
+    gestures: float = 0.15
+    """Share of hands with some fingers stretched and the others curled, as in pointing and counting."""
     lights: int = 4
     """Point lights with slightly random colour, brightness and position."""
     fov: tuple[float, float] | None = None
@@ -134,6 +136,7 @@ WILD = SynthConfig(
     image_margin=0.0,
     skin_detail=1.0,
     min_inside=14,
+    gestures=0.3,
     fov=(50.0, 110.0),
     principal_shift=0.06,
     pitch=(-15.0, 40.0),

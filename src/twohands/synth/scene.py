@@ -170,18 +170,23 @@ def instance_rng(seed: int, index: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(entropy=seed, spawn_key=(index,)))
 
 
-_KINDS_OF_HAND = np.cumsum([0.4, 0.3, 0.15, 0.15])[:-1]
-"""Where the shares of hands that bend together, freely, some fingers, or as a pinch or hook end; they sum to 1."""
-
-
-def sample_angles(rng: np.random.Generator, shape: tuple[int, ...] = ()) -> HandAngles:
+def sample_angles(
+    rng: np.random.Generator, shape: tuple[int, ...] = (), gestures: float = SynthConfig.gestures
+) -> HandAngles:
     """Random angles within the ranges of a healthy adult hand, or of an array of hands of the given shape.
 
-    Fingers are drawn together (fists, flat hands, grasps), each on its own (free poses), or as a pointing or pinching
-    hand, so that common hand shapes and odd ones both occur.
+    Fingers are drawn together (fists, flat hands, grasps; 47 % of the hands that are no gestures), each on its own
+    (free poses; 35 %), or as a pinching or hooked hand (18 %), so that common hand shapes and odd ones both occur.
+
+    Args:
+        rng: source of randomness.
+        shape: of the array.
+        gestures: share of hands that point or count: some fingers out, the others curled.
     """
+    others = (1 - gestures) / 0.85
+    kinds = np.cumsum([0.4 * others, 0.3 * others, gestures])
     deg = np.radians
-    kind = np.searchsorted(_KINDS_OF_HAND, rng.random(shape), side="right")
+    kind = np.searchsorted(kinds, rng.random(shape), side="right")
     # Together: flat hand to fist.
     together = rng.uniform(-0.05, 1.0, shape)[..., None, None] + rng.normal(0, 0.10, (*shape, 4, 2))
     # Free: every joint on its own.
@@ -475,7 +480,7 @@ def _pose_arm(
         if partner is not None:
             spread = rng.uniform(*NEAR_PARTNER_M, (CANDIDATES, 1))
             target = np.clip(partner + rng.normal(0, 1, target.shape) * spread, low, high)
-        rotations = anatomy.hand_rotations(sample_angles(rng, (CANDIDATES,)))
+        rotations = anatomy.hand_rotations(sample_angles(rng, (CANDIDATES,), config.gestures))
         reached = anatomy.reach(rotations, anatomy.wrist_before(target), np.radians(rng.uniform(-10, 75, CANDIDATES)))
         joints = anatomy.joints(rotations)
         root = joints[:, 1 + ROOT]
