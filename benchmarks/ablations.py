@@ -1,4 +1,4 @@
-"""The paper's ablations of the pose networks, each row trained alike: one markdown table.
+"""The paper's ablations of the pose networks, each row trained alike: markdown tables.
 
     python -m benchmarks.ablations --data FRAMES --out runs/ablations --iterations 800
 
@@ -18,11 +18,14 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import re
+import shlex
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from twohands.errors import TwoHandsError
+from twohands.evaluation.summary import markdown_table
 from twohands.models.pose_net_2d import PoseNet2DConfig
 from twohands.models.presets import SLIM
 from twohands.training.config import StageName, TrainConfig, recipe, with_override
@@ -83,14 +86,16 @@ ROWS = (
         pictures=4,
     ),
 )
-FIGURES = {
-    "image_px_median": ("2D median, px", 1.0, 2),
-    "image_px_mean": ("2D mean, px", 1.0, 2),
-    "canonical_median": ("3D median, % of the hand length", 100.0, 2),
-    "canonical_mean": ("3D mean, %", 100.0, 2),
-    "bone_mean": ("bone length error, %", 100.0, 2),
+ERRORS_2D = {"image_px_median": ("median, px", 1.0, 2), "image_px_mean": ("mean, px", 1.0, 2)}
+ERRORS_3D = {
+    "canonical_median": ("median, % of the hand length", 100.0, 2),
+    "canonical_mean": ("mean, %", 100.0, 2),
+    "bone_mean": ("bone length, %", 100.0, 2),
 }
 """Figure of `Stage.validate` -> column, factor, digits."""
+ABOUT = """Every row is a fresh network, smaller than the shipped ones, trained for the same number of steps on the same
+pictures; it changes what it names and nothing else. True boxes and masks; figures of held-out
+pictures, 480x270."""
 
 
 def row_config(row: Row, data: str, further: tuple[str, ...] = ()) -> TrainConfig:
@@ -128,23 +133,43 @@ def train_row(row: Row, config: TrainConfig, out: Path) -> TrainResult:
     )
 
 
-def table(results: dict[str, TrainResult]) -> str:
+def table(results: Mapping[str, TrainResult], columns: Mapping[str, tuple[str, float, int]]) -> list[str]:
     """Markdown: a line per row, a column per figure."""
-    lines = [
-        "| | steps | " + " | ".join(title for title, _, _ in FIGURES.values()) + " |",
-        "| --- |" + " --- |" * (1 + len(FIGURES)),
+    body = [
+        [name, str(result.iterations)]
+        + [f"{factor * result.figures[key]:.{digits}f}" for key, (_, factor, digits) in columns.items()]
+        for name, result in results.items()
     ]
-    for name, result in results.items():
-        cells = [
-            f"{factor * result.figures[key]:.{digits}f}" if key in result.figures else ""
-            for key, (_, factor, digits) in FIGURES.items()
-        ]
-        lines.append(f"| {name} | {result.iterations} | " + " | ".join(cells) + " |")
+    return markdown_table([["", "steps", *(title for title, _, _ in columns.values())], *body])
+
+
+def page(results: Mapping[str, TrainResult], command: str) -> str:
+    """A section with a table for each network, and a third for the pose machine.
+
+    Args:
+        results: name of the row -> its training; rows may be missing.
+        command: that made them.
+    """
+    lines = ["# Ablations that need training", "", "```", command, "```", "", ABOUT, ""]
+    tables = (
+        ("PoseNet2D", "pose_net_2d", SLIM_2D, ERRORS_2D),
+        ("PoseNet3D", "pose_net_3d", SLIM_2D, ERRORS_3D),
+        (
+            "PoseNet2D as a narrow pose machine of two stages, batches of a quarter",
+            "pose_net_2d",
+            POSE_MACHINE,
+            ERRORS_2D,
+        ),
+    )
+    for title, stage, network, columns in tables:
+        names = [row.name for row in ROWS if row.stage == stage and row.network == network and row.name in results]
+        if names:
+            lines += [f"## {title}", "", *table({name: results[name] for name in names}, columns), ""]
     return "\n".join(lines)
 
 
 def main() -> None:
-    """Trains what is missing, prints the table and keeps it in the folder."""
+    """Trains what is missing, prints the tables, and keeps them in the folder after every row."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", required=True, help="folders of training pictures, separated by commas")
     parser.add_argument("--out", type=Path, required=True, help="folder of the runs")
@@ -152,9 +177,13 @@ def main() -> None:
     parser.add_argument("--set", nargs="*", default=[], help="further settings of all rows, NAME=VALUE")
     args = parser.parse_args()
     further = (f"iterations={args.iterations}", *args.set)
-    results = {row.name: train_row(row, row_config(row, args.data, further), args.out) for row in ROWS}
-    text = table(results)
-    (args.out / "ablations.md").write_text(text + "\n", encoding="utf-8")
+    command = shlex.join(["python", "-m", "benchmarks.ablations", *sys.argv[1:]])
+    results: dict[str, TrainResult] = {}
+    text = ""
+    for row in ROWS:
+        results[row.name] = train_row(row, row_config(row, args.data, further), args.out)
+        text = page(results, command)
+        (args.out / "ablations.md").write_text(text, encoding="utf-8")
     print(text)
 
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from benchmarks.ablations import ROWS, row_config, table
+from benchmarks.ablations import ROWS, page, row_config
 
 from twohands.training.trainer import TrainResult
 
@@ -29,6 +29,17 @@ def test_a_row_changes_what_it_names_and_starts_from_fitting_networks():
     assert len({row_config(row, "frames").iterations for row in ROWS}) == 1
 
 
-def test_the_table():
-    results = {"row": TrainResult(7, 1.0, {"image_px_median": 1.234, "canonical_mean": 0.1}, {})}
-    assert table(results).splitlines()[2] == "| row | 7 | 1.23 |  |  | 10.00 |  |"
+def test_the_page_has_a_table_for_every_kind_of_row():
+    figures = {
+        "image_px_median": 1.234,
+        "image_px_mean": 2,
+        "canonical_median": 0.1,
+        "canonical_mean": 0.2,
+        "bone_mean": 0,
+    }
+    lines = page({row.name: TrainResult(7, 1.0, figures, {}) for row in ROWS}, "python it").splitlines()
+    assert "| 2D: no segmentation | 7 | 1.23 | 2.00 |" in lines
+    assert "| 3D: L_j | 7 | 10.00 | 20.00 | 0.00 |" in lines
+    assert len([line for line in lines if line.startswith("## ")]) == 3
+    assert all(any(line.startswith(f"| {row.name} |") for line in lines) for row in ROWS)
+    assert not any("3D" in line for line in page({ROWS[0].name: TrainResult(7, 1.0, figures, {})}, "it").splitlines())
