@@ -15,25 +15,20 @@ from twohands.geometry.boxes import box_iou
 from twohands.geometry.segmentation import log_odds
 from twohands.skeleton import ROOT, WRIST
 
-CANDIDATE_THRESHOLD: Final = 0.45
+CANDIDATE_THRESHOLD: Final = 0.4
 """HandSegNet's score (`geometry.segmentation.hand_scores`) from which on PoseNet2D looks at a candidate.
 
-This and the next five were chosen together on generated pictures and free photographs that are neither trained nor
-tested on, with the shipped weights.
+This and the next four were chosen together, with the shipped weights, on generated pictures that are neither trained
+nor tested on, and on the photographs that training puts behind hands.
 """
-TURN_BELOW: Final = -1.0
-"""Log-odds of PoseNet2D below which it looks at a candidate's mirror image too: hardly ever at an egocentric view, at a
-fifth of the candidates before a webcam."""
-SEG_WEIGHT: Final = 0.6
+TURN_BELOW: Final = 0.0
+"""Log-odds of PoseNet2D below which it looks at a candidate's mirror image too: seldom at an egocentric view."""
+SEG_WEIGHT: Final = 0.55
 """Weight of HandSegNet's log-odds in the decision; PoseNet2D's have the rest. HandSegNet sees the person."""
 SEG_LIMIT: Final = 4.0
 """HandSegNet's log-odds are limited to this size: it may be sure and wrong."""
-TURN_COST: Final = 2.0
+TURN_COST: Final = 1.5
 """Log-odds taken off where a hand is on the other side than HandSegNet says: most often it is right."""
-HAND_COST: Final = 0.3
-"""Log-odds that every hand needs: an invented hand is worse than a missed one."""
-
-
 ONE_PLACE: Final = 0.1
 """Two candidates whose wrists and root joints are nearer to each other than this share of the larger box are in one
 place."""
@@ -68,7 +63,7 @@ def assign_sides(
     for sources in itertools.product((-1, 0, 1), repeat=2):
         if sources[0] == sources[1] != -1:
             continue
-        total = sum(float(values[side, c]) - HAND_COST for side, c in enumerate(sources) if c >= 0)
+        total = sum(float(values[side, c]) for side, c in enumerate(sources) if c >= 0)
         if one_place and min(sources) >= 0:
             total -= ONE_PLACE_COST
         if total > best:
