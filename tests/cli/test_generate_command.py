@@ -140,7 +140,13 @@ def test_ctrl_c_says_how_to_go_on(tmp_path):
     """To the whole process group, as a terminal sends it: no traceback of any process."""
     options = ["--count", "5000", "--workers", "2", "--config.width", "128", "--config.height", "72"]
     command = [sys.executable, "-m", "twohands.cli.main", "generate", "static", "--out", str(tmp_path / "s"), *options]
-    run = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    run = subprocess.Popen(
+        command,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # a shell's background jobs ignore Ctrl-C
+    )
     index = tmp_path / "s" / "index.jsonl"
     while run.poll() is None and not (index.is_file() and index.stat().st_size):
         time.sleep(0.05)
