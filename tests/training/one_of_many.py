@@ -37,7 +37,7 @@ def pictures() -> list:
 
 def config(stage: StageName) -> TrainConfig:
     """A few plain gradient steps, whose size is that of the gradient: Adam would blow up rounding."""
-    optim = OptimConfig("sgd", learning_rate=1e-3, clip=20.0, ema=0.9, along_rate=0.5)
+    optim = OptimConfig("sgd", learning_rate=5e-4, clip=20.0, ema=0.9, along_rate=0.5)
     run = tiny_run(stage, iterations=STEPS, batch_images=4, log_every=1, truth_maps=2, seed=SEED)
     return dataclasses.replace(run, optim=optim)
 
