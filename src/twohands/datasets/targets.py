@@ -197,12 +197,12 @@ def segmentation_target(
     )
     classes = hand_classes(sample.labels[np.ix_(rows, cols)])
     points = _hand_points(sample) * scale + corner
-    boxes, present = _boxes_inside(points, width, height)
     if rng is not None:
         if zoom is not None:
-            image, classes, boxes, present = _zoomed(image, classes, points, zoom, rng)
+            image, classes, points = _zoomed(image, classes, points, zoom, rng)
         if photometric is not None:
             image = jitter_colours(image, photometric, rng)
+    boxes, present = _boxes_inside(points, width, height)
     return SegmentationTarget(image, classes, boxes.astype(np.float32), present)
 
 
@@ -217,42 +217,39 @@ def _hand_points(sample: HandSample) -> np.ndarray:
 def _boxes_inside(points: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
     """Tight boxes of hands (N, K, 2), clipped to the picture, (N, 4), 0 for a hand of which less than 2 pixels or
     `LEAST_INSIDE` of its box are inside; and whether there is one, (N,)."""
-    known = np.isfinite(points).all(axis=-1, keepdims=True)
-    low, high = np.where(known, points, np.inf).min(axis=1), np.where(known, points, -np.inf).max(axis=1)
-    inside = np.clip(np.stack([low, high]), 0, [width, height])
-    sizes, whole = inside[1] - inside[0], np.maximum(high - low, 0)
-    present = (sizes.min(axis=1) >= 2) & (sizes.prod(axis=1) >= LEAST_INSIDE * whole.prod(axis=1))
-    return np.where(present[:, None], np.concatenate(list(inside), axis=1), 0.0), present
+    whole = np.asarray(box_from_points(points))
+    inside = np.clip(whole, 0, [width, height, width, height])
+    sizes, whole_sizes = inside[:, 2:] - inside[:, :2], whole[:, 2:] - whole[:, :2]
+    present = (sizes.min(axis=1) >= 2) & (sizes.prod(axis=1) >= LEAST_INSIDE * whole_sizes.prod(axis=1))
+    return np.where(present[:, None], inside, 0.0), present
 
 
 def _zoomed(image, classes, points, config: ZoomConfig, rng: np.random.Generator):
     """Scale about the centre, shift, perhaps flip (swapping left and right), perhaps turn; the border goes on outside,
-    so that arms that leave the picture are not cut off. Returns the picture, classes, boxes and who is present."""
+    so that arms that leave the picture are not cut off. Returns the picture, classes and joints."""
     height, width = classes.shape
     scale = 2.0 ** rng.uniform(-config.zoom, config.zoom)
     shift = rng.uniform(-config.shift, config.shift, 2) * [width, height]
     flip = rng.random() < config.flip
-    turned = config.roll > 0 and rng.random() < 0.5
-    angle = np.radians(rng.uniform(-config.roll, config.roll)) if turned else 0.0
+    turn = _roll(config.roll, rng)[:2, :2]
     # out = turn(flip(scale * (in - centre))) + middle + shift, in corner-based pixels
-    cosine, sine = np.cos(angle), np.sin(angle)
     middle = np.array([width, height]) / 2
     centre = middle
     if config.close > 0 and rng.random() < config.close:
         centre, scale = _close_up(points, width, height, rng)
         shift = np.zeros(2)
-    linear = scale * np.array([[cosine, -sine], [sine, cosine]]) @ np.diag([-1.0 if flip else 1.0, 1.0])
+    linear = scale * turn @ np.diag([-1.0 if flip else 1.0, 1.0])
     matrix = np.column_stack([linear, middle + shift * [-1 if flip else 1, 1] - linear @ centre])
     centred = matrix.copy()
     centred[:, 2] += matrix[:, :2] @ [0.5, 0.5] - 0.5  # cv2 counts from the first pixel's centre
     edge = cv2.BORDER_REPLICATE
     image = cv2.warpAffine(image, centred, (width, height), flags=cv2.INTER_LINEAR, borderMode=edge)
     classes = cv2.warpAffine(classes, centred, (width, height), flags=cv2.INTER_NEAREST, borderMode=edge)
-    boxes, present = _boxes_inside(points @ linear.T + matrix[:, 2], width, height)
+    points = points @ linear.T + matrix[:, 2]
     if flip:
         classes = np.array([0, 2, 1], np.uint8)[np.asarray(classes, np.uint8)]
-        boxes, present = boxes[::-1], present[::-1]
-    return image, classes, boxes, present
+        points = points[::-1]
+    return image, classes, points
 
 
 def _close_up(points, width: int, height: int, rng: np.random.Generator) -> tuple[np.ndarray, float]:
@@ -330,7 +327,7 @@ def pose_target(
     if int((known & _inside(joints_px, width, height)).sum()) < crop.min_joints:
         return None
 
-    rolled_camera = _roll(crop, rng)
+    rolled_camera = _roll(crop.roll, rng)
     intrinsics = _intrinsics(sample.camera)
     image_from_rolled = intrinsics @ rolled_camera.T @ np.linalg.inv(intrinsics)
     corner = np.array([width, height], np.float64)
@@ -443,11 +440,12 @@ def _composed(
     return compose_hand_input(image, classes, np.eye(3), side, len(image), crop.background)
 
 
-def _roll(crop: CropConfig, rng: np.random.Generator | None) -> np.ndarray:
-    """(3, 3) rotation from the frame of the camera to that of the rolled one."""
-    if rng is None or not crop.roll or rng.random() < 0.5:
+def _roll(largest_deg: float, rng: np.random.Generator | None) -> np.ndarray:
+    """(3, 3) rotation about z, from the frame of a camera to that of the rolled one: in half of all cases none, else by
+    at most so many degrees."""
+    if rng is None or not largest_deg or rng.random() < 0.5:
         return np.eye(3)
-    angle = np.radians(rng.uniform(-crop.roll, crop.roll))
+    angle = np.radians(rng.uniform(-largest_deg, largest_deg))
     cos, sin = np.cos(angle), np.sin(angle)
     return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
 

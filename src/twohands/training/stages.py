@@ -320,10 +320,9 @@ def _fill(known: Mapping[str, nn.Module], path: Path) -> str:
     )  # if unknown, load_network says what was expected
     loaded, wanted = load_network(name, path), known[name]
     found, asked = cast(Any, loaded.config), cast(Any, wanted.config)
-    no_judge = isinstance(found, PoseNet2DConfig) and not found.judge
     if _with_free_settings(found, asked) != asked:
         raise InputError(f"{path}: {name} has the shape {found}, but this run asks for {asked}")
-    wanted.load_state_dict(loaded.state_dict(), strict=not no_judge)
+    wanted.load_state_dict(wanted.state_dict() | loaded.state_dict())
     return name
 
 
