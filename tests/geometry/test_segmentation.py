@@ -150,12 +150,14 @@ def test_nearly_the_same_shape_is_stretched_to_fill_the_input():
     assert (place.top, place.left, place.height, place.width) == (0, 0, 1, 1)
 
 
-def test_another_shape_is_centred_and_its_border_goes_on_outside():
+def test_another_shape_is_centred_in_what_the_network_sees_as_nothing():
     """400 x 400 into 270 x 480: 270 x 270 in the middle, 105 columns on either side."""
     image = np.zeros((400, 400, 3), np.uint8)
     image[:, :200], image[:, 200:] = 30, 220
     canvas, place = letterbox(image, (270, 480))
-    assert (canvas[:, :240] == 30).all() and (canvas[:, 240:] == 220).all()
+    assert (canvas[:, 105:240] == 30).all() and (canvas[:, 240:375] == 220).all()
+    outside = network_input(np.concatenate([canvas[:, :105], canvas[:, 375:]], axis=1)[None])
+    assert not outside.any()
     assert (place.top, place.left * 480, place.height, place.width * 480) == (0, 105, 1, 270)
     assert place.content(canvas.transpose(2, 0, 1)).shape == (3, 270, 270)
     half = np.arange(135 * 240).reshape(1, 135, 240)

@@ -9,7 +9,8 @@ import torch
 from tests.builders import make_sample, make_samples
 from tests.training.tiny import NETWORKS, tiny_run
 
-from twohands.datasets.targets import Segmentation, crop_matrix, hand_box, hand_classes
+from twohands.datasets.hand_views import hand_box, hand_classes
+from twohands.datasets.pose_targets import Segmentation, crop_matrix
 from twohands.errors import InputError
 from twohands.models.checkpoint import save_network
 from twohands.models.presets import build_network

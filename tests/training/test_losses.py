@@ -7,7 +7,7 @@ import pytest
 import torch
 from tests.builders import make_sample
 
-from twohands.datasets.targets import CropConfig, pose_target
+from twohands.datasets.pose_targets import CropConfig, pose_target
 from twohands.skeleton import BONES, LEFT, RIGHT
 from twohands.training import losses
 

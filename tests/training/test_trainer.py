@@ -11,7 +11,7 @@ from tests.builders import make_samples
 from tests.training.tiny import plain, tiny_run
 
 from twohands.errors import CheckpointError, InputError
-from twohands.models.checkpoint import load_network, read_note, same_weights, save_network
+from twohands.models.checkpoint import load_network, load_tensors, read_note, same_weights, save_network
 from twohands.models.pose_net_2d import PoseNet2D
 from twohands.models.presets import build_network
 from twohands.training.config import OptimConfig, TrainConfig
@@ -76,6 +76,18 @@ def test_interrupted_and_resumed_equals_undisturbed(tmp_path, stage):
         for run in ("whole", "parts")
     ]
     assert train_rows[0] == train_rows[1]
+
+
+def test_muon_resumes_exactly(tmp_path):
+    """Its momentum is kept too, and in the memory layout that decides how it is rounded."""
+    config = tiny_run("hand_seg_net", iterations=5, validate_every=100)
+    config = dataclasses.replace(config, optim=dataclasses.replace(config.optim, optimizer="muon"))
+    whole = train(config, SAMPLES, [], tmp_path / "whole")
+    train(config, SAMPLES, [], tmp_path / "parts", stop_after=3)
+    assert any(name.endswith(".momentum") for name in load_tensors(tmp_path / "parts" / "state.safetensors")[0])
+    parts = train(config, SAMPLES, [], tmp_path / "parts", resume=True)
+    files = [run.checkpoints["hand_seg_net"] for run in (whole, parts)]
+    assert same_weights(*(load_network("hand_seg_net", file) for file in files))
 
 
 def test_resume_needs_the_optimizer_state(tmp_path):
@@ -242,6 +254,10 @@ def test_optimizers_of_the_recipes():
     assert type(adamw) is torch.optim.AdamW
     assert [group["weight_decay"] for group in adamw.param_groups] == [0.01, 0.0]
     assert all(p.ndim == 1 for p in adamw.param_groups[1]["params"])
+    muon = build_optimizer(stage, OptimConfig("muon", weight_decay=0.01))
+    hidden = [group for group in muon.param_groups if group.get("muon")]
+    assert len(hidden) == 1 and all(min(p.shape[:2]) >= 32 for p in hidden[0]["params"])
+    assert sum(len(group["params"]) for group in muon.param_groups) == len(list(stage.parameters()))
     sgd = build_optimizer(stage, OptimConfig("sgd"))
     assert sgd.param_groups[0]["momentum"] == 0
 

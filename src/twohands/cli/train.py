@@ -24,7 +24,7 @@ import tyro
 from twohands.errors import InputError
 
 if TYPE_CHECKING:
-    from twohands.datasets.targets import Segmentation
+    from twohands.datasets.pose_targets import Segmentation
     from twohands.training.batches import Segment
     from twohands.training.config import TrainConfig
 
@@ -132,7 +132,7 @@ def open_segmentation(checkpoint: Path) -> Segment:
     Raises:
         CheckpointError: missing, damaged, or of another network.
     """
-    from twohands.datasets.targets import Segmentation
+    from twohands.datasets.pose_targets import Segmentation
     from twohands.inference.estimator import HandEstimator
     from twohands.training.batches import Segmenter
 

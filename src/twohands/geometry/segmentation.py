@@ -22,6 +22,8 @@ without hands, 1.7 % of 300 are invented.
 OPENING_SIZE = 5
 """Side of the opening's kernel on a map of REFERENCE_WIDTH; smaller maps take a smaller kernel."""
 REFERENCE_WIDTH = 512
+LETTERBOX_GREY = 128
+"""What surrounds a picture that does not fill a network's input: 0 once it is normalised."""
 STRETCH = 0.05
 """Pictures whose aspect ratio is this close to the network's input are stretched to fill it."""
 
@@ -66,7 +68,8 @@ def letterbox(image: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, Let
     """Fit a picture into a network's input without stretching it.
 
     A picture of nearly the input's own aspect ratio fills it. Any other is centred, so that hands keep the shape that
-    the network has learned, and its border goes on outside, as in training.
+    the network has learned, with a border of the grey that the network sees as 0, which is what its convolutions take
+    to be outside a picture.
 
     Args:
         image: (H, W, 3) uint8.
@@ -84,7 +87,8 @@ def letterbox(image: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, Let
     interpolation = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
     resized = cv2.resize(image, (columns, rows), interpolation=interpolation)
     top, left = (height - rows) // 2, (width - columns) // 2
-    canvas = cv2.copyMakeBorder(resized, top, height - rows - top, left, width - columns - left, cv2.BORDER_REPLICATE)
+    canvas = np.full((height, width, 3), LETTERBOX_GREY, np.uint8)
+    canvas[top : top + rows, left : left + columns] = resized
     return canvas, Letterbox(top / height, left / width, rows / height, columns / width)
 
 

@@ -19,16 +19,9 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, Sampler
 
-from twohands.datasets.targets import (
-    PoseTarget,
-    Segmentation,
-    false_hand,
-    hand_box,
-    hand_classes,
-    mirrored_hand,
-    pose_target,
-    segmentation_target,
-)
+from twohands.datasets.hand_views import hand_box, hand_classes
+from twohands.datasets.pose_targets import PoseTarget, Segmentation, false_hand, mirrored_hand, pose_target
+from twohands.datasets.segmentation_targets import segmentation_target
 from twohands.errors import InputError
 from twohands.geometry.segmentation import boxes_from_energy, hand_scores, letterbox, masks_from_logits, network_input
 from twohands.models.blocks import fold_batch_norm

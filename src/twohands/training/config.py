@@ -8,7 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from twohands.datasets.targets import CropConfig, ZoomConfig
+from twohands.datasets.pose_targets import CropConfig
+from twohands.datasets.segmentation_targets import ZoomConfig
 from twohands.datasets.transforms import MaskConfig, PhotometricConfig
 from twohands.errors import InputError
 from twohands.models.presets import PAPER, SLIM, NetworkConfigs
@@ -113,8 +114,8 @@ class LossConfig:
 class OptimConfig:
     """Optimizer and its schedule."""
 
-    optimizer: Literal["adam", "adamw", "sgd"] = "adam"
-    """Which optimizer; sgd has momentum 0."""
+    optimizer: Literal["adam", "adamw", "muon", "sgd"] = "adam"
+    """Which optimizer; muon: see `training.muon`; sgd has momentum 0."""
     learning_rate: float = 1e-3
     """Largest learning rate."""
     weight_decay: float = 0.0
@@ -301,7 +302,7 @@ def recipe(name: RecipeName, stage: StageName) -> TrainConfig:
             masks=MaskConfig(coarse=0.5, border=0.03, holes=0.15, spill=0.2, confusion=0.15, no_arm=0.15),
             predicted=0.5,
             mirrored=0.25,
-            zoom=ZoomConfig(zoom=0.4, shift=0.05, flip=0.5, roll=45.0, close=0.25),
+            zoom=ZoomConfig(zoom=0.4, shift=0.05, flip=0.5, roll=45.0, close=0.25, cut=0.5),
         ),
         loss=LossConfig(
             heatmap="cross-entropy",
@@ -316,7 +317,7 @@ def recipe(name: RecipeName, stage: StageName) -> TrainConfig:
             judge=2.5,
         ),
         optim=OptimConfig(
-            "adamw",
+            "muon",
             learning_rate=2e-3,
             weight_decay=0.01,
             schedule="cosine",

@@ -30,6 +30,7 @@ from twohands.training.batches import (
     validation_batches,
 )
 from twohands.training.config import OptimConfig, TrainConfig
+from twohands.training.muon import Muon
 from twohands.training.parallel import process_layout, share_batch_norm
 from twohands.training.schedule import learning_rate, progress, update_average
 from twohands.training.stages import Stage, build_stage
@@ -37,6 +38,8 @@ from twohands.training.stages import Stage, build_stage
 STATE_FILE = "state.safetensors"
 CONFIG_FILE = "config.json"
 LOG_FILE = "log.csv"
+HIDDEN = 32
+"""Least inputs and outputs of a layer that Muon moves; pictures, maps and answers have fewer."""
 LOG_COLUMNS = ("iteration", "minutes", "split", "metric", "value")
 
 
@@ -60,20 +63,25 @@ class TrainResult:
 def build_optimizer(stage: Stage, config: OptimConfig) -> torch.optim.Optimizer:
     """The optimizer of a run; each group keeps its relative learning rate under the key "share".
 
-    AdamW spares vectors (biases, batch normalisation) from weight decay; Adam, as in the paper, does not.
+    AdamW and Muon spare vectors (biases, batch normalisation) from weight decay; Adam, as in the paper, does not. Muon
+    moves the hidden layers: those with many inputs and outputs.
     """
     groups: list[dict[str, Any]] = []
     for parameters, share in stage.parameter_groups():
-        if config.optimizer == "adamw":
+        if config.optimizer in ("adamw", "muon"):
             wide = [p for p in parameters if p.ndim > 1]
             flat = [p for p in parameters if p.ndim <= 1]
+            if config.optimizer == "muon":
+                hidden = [p for p in wide if min(p.shape[:2]) >= HIDDEN]
+                groups.append({"params": hidden, "share": share, "weight_decay": config.weight_decay, "muon": True})
+                wide = [p for p in wide if min(p.shape[:2]) < HIDDEN]
             groups.append({"params": wide, "share": share, "weight_decay": config.weight_decay})
             groups.append({"params": flat, "share": share, "weight_decay": 0.0})
         else:
             groups.append({"params": parameters, "share": share, "weight_decay": config.weight_decay})
     if config.optimizer == "sgd":
         return torch.optim.SGD(groups, lr=config.learning_rate)
-    kind = torch.optim.AdamW if config.optimizer == "adamw" else torch.optim.Adam
+    kind = {"adam": torch.optim.Adam, "adamw": torch.optim.AdamW, "muon": Muon}[config.optimizer]
     return kind(groups, lr=config.learning_rate, betas=(0.9, 0.999), fused=True)
 
 

@@ -1,4 +1,4 @@
-"""What the networks are shown and asked for, against values known from the way the pictures were made."""
+"""What PoseNet2D and PoseNet3D are shown and asked for, against values known from the way the pictures were made."""
 
 import dataclasses
 
@@ -6,22 +6,14 @@ import cv2
 import numpy as np
 import pytest
 from tests.builders import make_sample
+from tests.datasets.mirrored import mirrored
 
-from twohands.datasets import targets
-from twohands.datasets.targets import (
-    CropConfig,
-    PoseTarget,
-    ZoomConfig,
-    crop_matrix,
-    hand_box,
-    hand_classes,
-    pose_target,
-    segmentation_target,
-)
+from twohands.datasets import pose_targets
+from twohands.datasets.hand_views import hand_box, hand_classes
+from twohands.datasets.pose_targets import CropConfig, PoseTarget, Segmentation, crop_matrix, pose_target
 from twohands.datasets.transforms import MaskConfig, PhotometricConfig
-from twohands.errors import DataFormatError, InputError
-from twohands.geometry.boxes import apply_homography, box_iou
-from twohands.geometry.segmentation import letterbox
+from twohands.errors import InputError
+from twohands.geometry.boxes import apply_homography
 from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
 from twohands.types import HandSample
 
@@ -33,155 +25,10 @@ def sample(seed: int = 0, **options) -> HandSample:
     return make_sample(np.random.default_rng(seed), **options)
 
 
-def mirrored(original: HandSample) -> HandSample:
-    """The picture in a mirror: columns reversed, left and right hands swapped."""
-    width = original.image.shape[1]
-    labels = original.labels[:, ::-1]
-    swapped = np.where(labels == 0, 0, np.where(labels > 7, labels - 7, labels + 7)).astype(np.uint8)
-    return dataclasses.replace(
-        original,
-        image=np.ascontiguousarray(original.image[:, ::-1]),
-        labels=np.ascontiguousarray(swapped),
-        joints_px=original.joints_px[::-1] * [-1, 1] + [width, 0],
-        joints_m=original.joints_m[::-1] * [-1, 1, 1],
-        present=original.present[::-1],
-        valid=original.valid[::-1],
-    )
-
-
 def target(*args, **options) -> PoseTarget:
     found = pose_target(*args, **options)
     assert found is not None
     return found
-
-
-def test_hand_classes_put_the_arm_with_its_hand():
-    labels = np.array([[0, 1, 2, 7, 8, 9, 14]], np.uint8)
-    assert hand_classes(labels).tolist() == [[0, 1, 1, 1, 2, 2, 2]]
-    assert hand_classes(labels).dtype == np.uint8
-
-
-def test_hand_box_is_tight_and_clipped_to_the_picture():
-    original = sample()
-    points = original.joints_px.copy()
-    box = hand_box(original, LEFT)
-    assert np.allclose(box, [*points[LEFT].min(axis=0), *points[LEFT].max(axis=0)])
-    points[LEFT, 0] = [-50, 500]
-    box = hand_box(dataclasses.replace(original, joints_px=points), LEFT)
-    assert (box[0], box[3]) == (0, original.image.shape[0])
-
-
-def test_hand_box_of_absent_and_outside_hands():
-    assert hand_box(sample(present=(True, False)), RIGHT) is None
-    original = sample()
-    away = dataclasses.replace(original, joints_px=original.joints_px - [1000, 0])
-    assert hand_box(away, LEFT) is None
-
-
-def test_segmentation_target_scales_labels_and_boxes():
-    original = sample()  # 240x135
-    found = segmentation_target(original, 270, 480)
-    assert np.array_equal(found.classes[::2, ::2], hand_classes(original.labels))
-    assert np.allclose(found.boxes_px[LEFT], 2 * hand_box(original, LEFT), atol=1e-4)
-    assert found.present.tolist() == [True, True]
-
-
-def test_segmentation_target_fits_pictures_in_as_inference_does():
-    original = sample()  # 240x135
-    found = segmentation_target(original, 192, 240)
-    canvas, place = letterbox(original.image, (192, 240))
-    assert np.array_equal(found.image, canvas)
-    assert np.array_equal(place.content(found.classes), hand_classes(original.labels))
-    top = place.top * 192
-    assert top == 28
-    assert np.allclose(found.boxes_px[LEFT], hand_box(original, LEFT) + np.array([0, top, 0, top]), atol=1e-4)
-
-
-def test_segmentation_target_needs_labels():
-    with pytest.raises(DataFormatError, match="needs part labels"):
-        segmentation_target(dataclasses.replace(sample(), labels=None), 64, 96)
-
-
-def test_flip_equals_the_mirrored_picture():
-    original = sample()
-    flip = ZoomConfig(flip=1.0)
-    a = segmentation_target(original, 135, 240, zoom=flip, rng=np.random.default_rng(0))
-    b = segmentation_target(mirrored(original), 135, 240)
-    assert np.array_equal(a.classes, b.classes)
-    assert np.array_equal(a.image, b.image)
-    assert np.allclose(a.boxes_px, b.boxes_px, atol=1e-4)
-
-
-@pytest.mark.parametrize("roll", [0.0, 70.0])
-def test_zoomed_boxes_stay_on_the_hands(roll):
-    original = sample()
-    config = ZoomConfig(zoom=0.4, shift=0.1, flip=0.5, roll=roll)
-    changed = 0
-    for seed in range(20):
-        found = segmentation_target(original, 135, 240, zoom=config, rng=np.random.default_rng(seed))
-        for side in (LEFT, RIGHT):
-            rows, cols = np.nonzero(found.classes == side + 1)
-            if not found.present[side] or not len(rows):
-                continue
-            drawn = np.array([cols.min(), rows.min(), cols.max() + 1, rows.max() + 1])
-            assert np.abs(drawn - found.boxes_px[side]).max() < 8  # bones are drawn with thick lines
-            changed += not np.allclose(found.boxes_px[side], hand_box(original, side), atol=1)
-    assert changed > 10
-
-
-def test_half_of_the_pictures_are_turned_and_swap_no_hands():
-    original = sample()
-    plain = segmentation_target(original, 135, 240)
-    seeds = range(40)
-    found = [
-        segmentation_target(original, 135, 240, zoom=ZoomConfig(roll=40.0), rng=np.random.default_rng(seed))
-        for seed in seeds
-    ]
-    still = [np.array_equal(turned.classes, plain.classes) for turned in found]
-    assert 10 < sum(still) < 30
-    for turned in found:
-        for side in (LEFT, RIGHT):  # the hands are in the middle: turning leaves their areas
-            areas = [(target.classes == side + 1).sum() for target in (plain, turned)]
-            assert areas[1] == pytest.approx(areas[0], rel=0.25)
-
-
-def test_a_close_hand_fills_a_good_part_of_the_height_and_is_in_the_picture():
-    original = sample(present=(True, False))
-    sizes = []
-    for seed in range(40):
-        config = ZoomConfig(flip=0.5, close=1.0)
-        found = segmentation_target(original, 135, 240, zoom=config, rng=np.random.default_rng(seed))
-        side = LEFT if found.present[LEFT] else RIGHT
-        box = found.boxes_px[side]
-        sizes.append((box[2:] - box[:2]).max() / 135)
-        rows, cols = np.nonzero(found.classes == side + 1)
-        drawn = np.array([cols.min(), rows.min(), cols.max() + 1, rows.max() + 1])
-        assert box_iou(drawn, box) > 0.6  # bones are drawn with thick lines
-        assert (box[:2] >= -1e-3).all() and (box[2:] <= [240, 135]).all()
-    whole = segmentation_target(original, 135, 240).boxes_px[LEFT]
-    assert min(sizes) > 0.99 * min(0.25, (whole[2:] - whole[:2]).max() / 135)
-    assert max(sizes) > 0.6
-
-
-@pytest.mark.parametrize(("left", "there"), [(20.0, True), (-50.0, True), (-85.0, False), (-200.0, False)])
-def test_a_hand_of_which_a_sliver_is_left_is_absent(left, there):
-    """100 pixels wide: half of it inside is a hand, 15 % are none."""
-    hand = np.array([[left, 10.0], [left + 100, 10.0], [left + 100, 60.0], [np.nan, np.nan]])
-    boxes, present = targets._boxes_inside(hand[None], 240, 135)
-    assert present.tolist() == [there]
-    assert boxes[0].tolist() == ([max(left, 0), 10, left + 100, 60] if there else [0, 0, 0, 0])
-
-
-def test_a_picture_without_hands_has_none_to_bring_near():
-    empty = sample(present=(False, False))
-    found = segmentation_target(empty, 135, 240, zoom=ZoomConfig(close=1.0), rng=np.random.default_rng(0))
-    assert np.array_equal(found.image, empty.image)
-
-
-@pytest.mark.parametrize("wrong", [{"roll": 200}, {"close": 1.5}])
-def test_a_zoom_out_of_range_is_refused(wrong):
-    with pytest.raises(InputError, match=next(iter(wrong))):
-        ZoomConfig(**wrong)
 
 
 @pytest.mark.parametrize("crop", [PAPER_CROP, OUR_CROP])
@@ -288,7 +135,6 @@ def test_the_sample_is_not_changed():
     masks = MaskConfig(holes=1.0, spill=1.0, confusion=1.0, border=0.03)
     photometric = PhotometricConfig(brightness=0.2, noise=0.05, hue=0.1)
     pose_target(original, RIGHT, 128, OUR_CROP, photometric=photometric, masks=masks, rng=rng)
-    segmentation_target(original, 64, 96, photometric=photometric, zoom=ZoomConfig(0.4, 0.1, 1.0), rng=rng)
     after = [original.image, original.labels, original.joints_px, original.joints_m]
     assert all(np.array_equal(a, b) for a, b in zip(before, after, strict=True))
 
@@ -325,11 +171,11 @@ def test_a_rolled_crop_is_that_of_a_rolled_camera(crop, side, found_by_network, 
         camera=dataclasses.replace(camera, cx=camera.cx + 400, cy=camera.cy + 400, width=width, height=height),
     )
     plain = target(rolled, side, 128, crop)
-    monkeypatch.setattr(targets, "_roll", lambda crop, rng: rotation)
+    monkeypatch.setattr(pose_targets, "random_roll", lambda crop, rng: rotation)
     found = None
     if found_by_network:
         boxes = np.stack([hand_box(original, side) for side in (LEFT, RIGHT)])
-        found = targets.Segmentation(hand_classes(original.labels), boxes)
+        found = Segmentation(hand_classes(original.labels), boxes)
     turned = target(original, side, 128, crop, predicted=found)
     if found_by_network:  # its box is moved to where the true box's centre goes, which is near
         assert np.abs(turned.joints_px - plain.joints_px).max() < 12

@@ -1,19 +1,18 @@
-"""From a labelled picture to what each network is shown and asked for."""
+"""From a labelled picture to what PoseNet2D and PoseNet3D are shown and asked for."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Literal
 
-import cv2
 import numpy as np
 
+from twohands.datasets.hand_views import hand_box, hand_classes, random_roll
 from twohands.datasets.transforms import MaskConfig, PhotometricConfig, jitter_colours, spoil_masks
-from twohands.errors import DataFormatError, InputError
+from twohands.errors import InputError
 from twohands.geometry.boxes import apply_homography, box_from_points, perspective_crop, square_crop, warp_image
 from twohands.geometry.canonical import canonical_from_camera
 from twohands.geometry.composition import compose_hand_input
-from twohands.geometry.segmentation import letterbox
 from twohands.skeleton import N_JOINTS, RIGHT, ROOT, WRIST
 from twohands.types import HandSample, PinholeCamera
 
@@ -58,54 +57,6 @@ class CropConfig:
             )
 
 
-@dataclass(frozen=True)
-class ZoomConfig:
-    """Geometric changes of HandSegNet's training pictures."""
-
-    zoom: float = 0.0
-    """Largest change of log2 of the scale: 0.5 allows 0.71 to 1.41."""
-    shift: float = 0.0
-    """Largest shift as a fraction of the picture's size."""
-    flip: float = 0.0
-    """Probability of a horizontal flip; left and right swap places with it."""
-    roll: float = 0.0
-    """Half of the pictures are turned about their centre, by at most so many degrees."""
-    close: float = 0.0
-    """Share of pictures cut to a part in which one hand fills 25 to 80 % of the height (`CLOSE`): a person who shows a
-    hand to a webcam holds it nearer than an egocentric camera ever sees it."""
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.close <= 1:
-            raise InputError(f"zoom: close must lie in 0..1, got {self.close}")
-        if not 0 <= self.roll <= 180:
-            raise InputError(f"zoom: roll must lie in 0..180 degrees, got {self.roll}")
-
-
-CLOSE = (0.25, 0.8)
-"""Range of a close hand's size: the larger side of its box over the picture's height."""
-LEAST_INSIDE = 0.2
-"""A hand of whose box a change has left less than this in the picture counts as absent."""
-LARGEST_ZOOM = 3.0
-"""A close hand is enlarged no further than this: there is no more detail in the picture."""
-
-
-@dataclass(frozen=True, slots=True)
-class SegmentationTarget:
-    """One training example of HandSegNet.
-
-    Attributes:
-        image: (H, W, 3) uint8 RGB at network size, fitted in as for inference (`geometry.segmentation.letterbox`).
-        classes: (H, W) uint8, 0 background, 1 left, 2 right; the forearm belongs to its hand (SPEC 2).
-        boxes_px: (2, 4) float32 u0, v0, u1, v1 in pixels of `image`, clipped to it; 0 for an absent hand.
-        present: (2,) bool.
-    """
-
-    image: np.ndarray
-    classes: np.ndarray
-    boxes_px: np.ndarray
-    present: np.ndarray
-
-
 @dataclass(frozen=True, slots=True)
 class Segmentation:
     """What HandSegNet answered for one picture.
@@ -148,124 +99,6 @@ class PoseTarget:
     image_from_crop: np.ndarray
     side: int
     hand: bool = True
-
-
-def hand_classes(labels: np.ndarray) -> np.ndarray:
-    """Part labels 0..14 -> classes 0 background, 1 left, 2 right, same shape, uint8."""
-    return ((labels > 0).astype(np.uint8) + (labels > 7)).astype(np.uint8)
-
-
-def hand_box(sample: HandSample, side: int) -> np.ndarray | None:
-    """Tight box of a hand's labelled 2D joints, clipped to the picture.
-
-    Returns:
-        (4,) u0, v0, u1, v1 in pixels; None if the hand is absent or less than 2 pixels of it are in the picture.
-    """
-    boxes, found = _boxes_inside(_hand_points(sample)[[side]], *sample.image.shape[1::-1])
-    return boxes[0] if found[0] else None
-
-
-def segmentation_target(
-    sample: HandSample,
-    height: int,
-    width: int,
-    *,
-    photometric: PhotometricConfig | None = None,
-    zoom: ZoomConfig | None = None,
-    rng: np.random.Generator | None = None,
-) -> SegmentationTarget:
-    """What HandSegNet sees and should answer for one picture.
-
-    Args:
-        sample: must carry part labels.
-        height, width: network size.
-        photometric, zoom: training changes, used only with `rng`.
-        rng: source of randomness; None leaves the picture as it is.
-
-    Raises:
-        DataFormatError: no part labels.
-    """
-    if sample.labels is None:
-        raise DataFormatError(f"{sample.source}: HandSegNet needs part labels, this sample has none")
-    full_height, full_width = sample.image.shape[:2]
-    image, place = letterbox(sample.image, (height, width))
-    scale = np.array([place.width * width / full_width, place.height * height / full_height])
-    corner = np.array([place.left * width, place.top * height])
-    cols, rows = (
-        np.clip((np.arange(size) + 0.5 - corner[axis]) / scale[axis], 0, full - 1).astype(int)
-        for axis, (size, full) in enumerate([(width, full_width), (height, full_height)])
-    )
-    classes = hand_classes(sample.labels[np.ix_(rows, cols)])
-    points = _hand_points(sample) * scale + corner
-    if rng is not None:
-        if zoom is not None:
-            image, classes, points = _zoomed(image, classes, points, zoom, rng)
-        if photometric is not None:
-            image = jitter_colours(image, photometric, rng)
-    boxes, present = _boxes_inside(points, width, height)
-    return SegmentationTarget(image, classes, boxes.astype(np.float32), present)
-
-
-def _hand_points(sample: HandSample) -> np.ndarray:
-    """(2, 21, 2) joints, moved into the picture where they lie outside; NaN where unknown or of an absent hand."""
-    height, width = sample.image.shape[:2]
-    points = np.asarray(sample.joints_px, np.float64)
-    known = np.asarray(sample.valid) & np.asarray(sample.present)[:, None] & np.isfinite(points).all(axis=-1)
-    return np.where(known[..., None], np.clip(points, 0, [width, height]), np.nan)
-
-
-def _boxes_inside(points: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
-    """Tight boxes of hands (N, K, 2), clipped to the picture, (N, 4), 0 for a hand of which less than 2 pixels or
-    `LEAST_INSIDE` of its box are inside; and whether there is one, (N,)."""
-    whole = np.asarray(box_from_points(points))
-    inside = np.clip(whole, 0, [width, height, width, height])
-    sizes, whole_sizes = inside[:, 2:] - inside[:, :2], whole[:, 2:] - whole[:, :2]
-    present = (sizes.min(axis=1) >= 2) & (sizes.prod(axis=1) >= LEAST_INSIDE * whole_sizes.prod(axis=1))
-    return np.where(present[:, None], inside, 0.0), present
-
-
-def _zoomed(image, classes, points, config: ZoomConfig, rng: np.random.Generator):
-    """Scale about the centre, shift, perhaps flip (swapping left and right), perhaps turn; the border goes on outside,
-    so that arms that leave the picture are not cut off. Returns the picture, classes and joints."""
-    height, width = classes.shape
-    scale = 2.0 ** rng.uniform(-config.zoom, config.zoom)
-    shift = rng.uniform(-config.shift, config.shift, 2) * [width, height]
-    flip = rng.random() < config.flip
-    turn = _roll(config.roll, rng)[:2, :2]
-    # out = turn(flip(scale * (in - centre))) + middle + shift, in corner-based pixels
-    middle = np.array([width, height]) / 2
-    centre = middle
-    if config.close > 0 and rng.random() < config.close:
-        centre, scale = _close_up(points, width, height, rng)
-        shift = np.zeros(2)
-    linear = scale * turn @ np.diag([-1.0 if flip else 1.0, 1.0])
-    matrix = np.column_stack([linear, middle + shift * [-1 if flip else 1, 1] - linear @ centre])
-    centred = matrix.copy()
-    centred[:, 2] += matrix[:, :2] @ [0.5, 0.5] - 0.5  # cv2 counts from the first pixel's centre
-    edge = cv2.BORDER_REPLICATE
-    image = cv2.warpAffine(image, centred, (width, height), flags=cv2.INTER_LINEAR, borderMode=edge)
-    classes = cv2.warpAffine(classes, centred, (width, height), flags=cv2.INTER_NEAREST, borderMode=edge)
-    points = points @ linear.T + matrix[:, 2]
-    if flip:
-        classes = np.array([0, 2, 1], np.uint8)[np.asarray(classes, np.uint8)]
-        points = points[::-1]
-    return image, classes, points
-
-
-def _close_up(points, width: int, height: int, rng: np.random.Generator) -> tuple[np.ndarray, float]:
-    """Centre and scale of a part of the picture, at most the whole, in which one of the hands is near and its box
-    inside; the whole where there is no hand."""
-    corner = np.array([width, height], np.float64)
-    boxes, present = _boxes_inside(points, width, height)
-    if not present.any():
-        return corner / 2, 1.0
-    box = boxes[rng.choice(np.flatnonzero(present))]
-    larger = max(box[2:] - box[:2])
-    scale = float(np.clip(np.exp(rng.uniform(*np.log(CLOSE))) * height / larger, 1, LARGEST_ZOOM))
-    half = corner / 2 / scale
-    room = np.maximum(half - larger / 2, 0)
-    centre = (box[:2] + box[2:]) / 2 + rng.uniform(-room, room)
-    return np.clip(centre, half, corner - half), scale
 
 
 def crop_matrix(
@@ -327,7 +160,7 @@ def pose_target(
     if int((known & _inside(joints_px, width, height)).sum()) < crop.min_joints:
         return None
 
-    rolled_camera = _roll(crop.roll, rng)
+    rolled_camera = random_roll(crop.roll, rng)
     intrinsics = _intrinsics(sample.camera)
     image_from_rolled = intrinsics @ rolled_camera.T @ np.linalg.inv(intrinsics)
     corner = np.array([width, height], np.float64)
@@ -438,16 +271,6 @@ def _composed(
     if rng is not None and photometric is not None:
         image = jitter_colours(image, photometric, rng)
     return compose_hand_input(image, classes, np.eye(3), side, len(image), crop.background)
-
-
-def _roll(largest_deg: float, rng: np.random.Generator | None) -> np.ndarray:
-    """(3, 3) rotation about z, from the frame of a camera to that of the rolled one: in half of all cases none, else by
-    at most so many degrees."""
-    if rng is None or not largest_deg or rng.random() < 0.5:
-        return np.eye(3)
-    angle = np.radians(rng.uniform(-largest_deg, largest_deg))
-    cos, sin = np.cos(angle), np.sin(angle)
-    return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
 
 
 def _like(rolled_box: np.ndarray, box: np.ndarray, predicted: np.ndarray, image_from_rolled: np.ndarray) -> np.ndarray:

@@ -1,0 +1,176 @@
+"""From a labelled picture to what HandSegNet is shown and asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from twohands.datasets.hand_views import boxes_inside, hand_classes, hand_points, random_roll
+from twohands.datasets.transforms import PhotometricConfig, jitter_colours
+from twohands.errors import DataFormatError, InputError
+from twohands.geometry.segmentation import LETTERBOX_GREY, letterbox
+from twohands.types import HandSample
+
+OUTSIDE = 3
+"""Class, for the time being, of what lies outside the picture."""
+CLOSE = (0.25, 0.8)
+"""Range of a close hand's size: the larger side of its box over the picture's height."""
+NARROWEST = 9 / 16
+"""Least width of a cut picture over its height."""
+LARGEST_ZOOM = 3.0
+"""A close hand is enlarged no further than this: there is no more detail in the picture."""
+
+
+@dataclass(frozen=True)
+class ZoomConfig:
+    """Geometric changes of HandSegNet's training pictures."""
+
+    zoom: float = 0.0
+    """Largest change of log2 of the scale: 0.5 allows 0.71 to 1.41."""
+    shift: float = 0.0
+    """Largest shift as a fraction of the picture's size."""
+    flip: float = 0.0
+    """Probability of a horizontal flip; left and right swap places with it."""
+    roll: float = 0.0
+    """Half of the pictures are turned about their centre, by at most so many degrees."""
+    close: float = 0.0
+    """Share of pictures cut to a part in which one hand fills 25 to 80 % of the height (`CLOSE`): a person who shows a
+    hand to a webcam holds it nearer than an egocentric camera ever sees it."""
+    cut: float = 0.0
+    """Share of pictures cut to a narrower part, as upright as `NARROWEST` at most, and fitted in with a border: cameras
+    of 4:3, square pictures, phones held upright."""
+
+    def __post_init__(self) -> None:
+        for name in ("close", "cut"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise InputError(f"zoom: {name} must lie in 0..1, got {getattr(self, name)}")
+        if not 0 <= self.roll <= 180:
+            raise InputError(f"zoom: roll must lie in 0..180 degrees, got {self.roll}")
+
+
+@dataclass(frozen=True, slots=True)
+class SegmentationTarget:
+    """One training example of HandSegNet.
+
+    Attributes:
+        image: (H, W, 3) uint8 RGB at network size, fitted in as for inference (`geometry.segmentation.letterbox`).
+        classes: (H, W) uint8, 0 background, 1 left, 2 right; the forearm belongs to its hand (SPEC 2).
+        boxes_px: (2, 4) float32 u0, v0, u1, v1 in pixels of `image`, clipped to it; 0 for an absent hand.
+        present: (2,) bool.
+    """
+
+    image: np.ndarray
+    classes: np.ndarray
+    boxes_px: np.ndarray
+    present: np.ndarray
+
+
+def segmentation_target(
+    sample: HandSample,
+    height: int,
+    width: int,
+    *,
+    photometric: PhotometricConfig | None = None,
+    zoom: ZoomConfig | None = None,
+    rng: np.random.Generator | None = None,
+) -> SegmentationTarget:
+    """What HandSegNet sees and should answer for one picture.
+
+    Args:
+        sample: must carry part labels.
+        height, width: network size.
+        photometric, zoom: training changes, used only with `rng`.
+        rng: source of randomness; None leaves the picture as it is.
+
+    Raises:
+        DataFormatError: no part labels.
+    """
+    if sample.labels is None:
+        raise DataFormatError(f"{sample.source}: HandSegNet needs part labels, this sample has none")
+    image, labels, points = sample.image, sample.labels, hand_points(sample)
+    if rng is not None and zoom is not None and zoom.cut > 0 and rng.random() < zoom.cut:
+        image, labels, points = _cut(image, labels, points, rng)
+    full_height, full_width = image.shape[:2]
+    image, place = letterbox(image, (height, width))
+    scale = np.array([place.width * width / full_width, place.height * height / full_height])
+    corner = np.array([place.left * width, place.top * height])
+    cols, rows = (
+        np.floor((np.arange(size) + 0.5 - corner[axis]) / scale[axis]).astype(int)
+        for axis, size in enumerate((width, height))
+    )
+    inside = ((rows >= 0) & (rows < full_height))[:, None] & (cols >= 0) & (cols < full_width)
+    part = labels[np.ix_(np.clip(rows, 0, full_height - 1), np.clip(cols, 0, full_width - 1))]
+    classes = np.where(inside, hand_classes(part), np.uint8(OUTSIDE))
+    points = points * scale + corner
+    if rng is not None:
+        if zoom is not None:
+            image, classes, points = _zoomed(image, classes, points, zoom, rng)
+        if photometric is not None:
+            image = jitter_colours(image, photometric, rng)
+    border = classes == OUTSIDE
+    image[border], classes[border] = LETTERBOX_GREY, 0
+    boxes, present = boxes_inside(points, width, height)
+    return SegmentationTarget(image, classes, boxes.astype(np.float32), present)
+
+
+def _cut(image, labels, points, rng: np.random.Generator):
+    """A narrower part of the picture, with most of one of its hands inside if there is one; returns the picture, labels
+    and joints, NaN for a hand that is hardly inside."""
+    height, full_width = labels.shape
+    narrowest = min(NARROWEST, full_width / height)
+    width = min(round(height * np.exp(rng.uniform(np.log(narrowest), np.log(full_width / height)))), full_width)
+    boxes, present = boxes_inside(points, full_width, height)
+    centre = rng.uniform(0, full_width)
+    if present.any():
+        centre = boxes[rng.choice(np.flatnonzero(present))][[0, 2]].mean()
+    left = int(np.clip(centre - width * rng.uniform(0.25, 0.75), 0, full_width - width))
+    points = points - [left, 0]
+    _, present = boxes_inside(points, width, height)
+    points = np.where(present[:, None, None], np.clip(points, 0, [width, height]), np.nan)
+    columns = slice(left, left + width)
+    return image[:, columns], labels[:, columns], points
+
+
+def _zoomed(image, classes, points, config: ZoomConfig, rng: np.random.Generator):
+    """Scale about the centre, shift, perhaps flip (swapping left and right), perhaps turn. Returns the picture, classes
+    (`OUTSIDE` where there is no picture) and joints."""
+    height, width = classes.shape
+    scale = 2.0 ** rng.uniform(-config.zoom, config.zoom)
+    shift = rng.uniform(-config.shift, config.shift, 2) * [width, height]
+    flip = rng.random() < config.flip
+    turn = random_roll(config.roll, rng)[:2, :2]
+    # out = turn(flip(scale * (in - centre))) + middle + shift, in corner-based pixels
+    middle = np.array([width, height]) / 2
+    centre = middle
+    if config.close > 0 and rng.random() < config.close:
+        centre, scale = _close_up(points, width, height, rng)
+        shift = np.zeros(2)
+    linear = scale * turn @ np.diag([-1.0 if flip else 1.0, 1.0])
+    matrix = np.column_stack([linear, middle + shift * [-1 if flip else 1, 1] - linear @ centre])
+    centred = matrix.copy()
+    centred[:, 2] += matrix[:, :2] @ [0.5, 0.5] - 0.5  # cv2 counts from the first pixel's centre
+    image = cv2.warpAffine(image, centred, (width, height), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    classes = cv2.warpAffine(classes, centred, (width, height), flags=cv2.INTER_NEAREST, borderValue=OUTSIDE)
+    points = points @ linear.T + matrix[:, 2]
+    if flip:
+        classes = np.array([0, 2, 1, OUTSIDE], np.uint8)[np.asarray(classes, np.uint8)]
+        points = points[::-1]
+    return image, classes, points
+
+
+def _close_up(points, width: int, height: int, rng: np.random.Generator) -> tuple[np.ndarray, float]:
+    """Centre and scale of a part of the picture, at most the whole, in which one of the hands is near and its box
+    inside; the whole where there is no hand."""
+    corner = np.array([width, height], np.float64)
+    boxes, present = boxes_inside(points, width, height)
+    if not present.any():
+        return corner / 2, 1.0
+    box = boxes[rng.choice(np.flatnonzero(present))]
+    larger = max(box[2:] - box[:2])
+    scale = float(np.clip(np.exp(rng.uniform(*np.log(CLOSE))) * height / larger, 1, LARGEST_ZOOM))
+    half = corner / 2 / scale
+    room = np.maximum(half - larger / 2, 0)
+    centre = (box[:2] + box[2:]) / 2 + rng.uniform(-room, room)
+    return np.clip(centre, half, corner - half), scale

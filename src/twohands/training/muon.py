@@ -1,0 +1,89 @@
+"""Muon: an optimizer that moves every direction of a layer alike."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+COEFFICIENTS = (3.4445, -4.7750, 2.0315)
+"""Of the odd polynomial that draws singular values towards 1; chosen by its authors for speed, it ends in 0.7..1.2."""
+STEPS = 5
+UPDATE_RMS = 0.2
+"""Root mean square of an update before the learning rate, about that of AdamW's, so that its rates carry over."""
+
+
+class Muon(torch.optim.AdamW):
+    """Momentum whose matrices are orthogonalised before the step, for hidden layers; AdamW for all else.
+
+    The gradient of a layer is dominated by a few directions; a rare one, which may tell left from right, is lost beside
+    them. Setting all singular values of the momentum to about 1 gives it the same weight. Convolutions count as
+    matrices (outputs, inputs x rows x columns).
+
+    Args:
+        params: groups as for AdamW; those with "muon": True must hold matrices or convolutions only.
+        momentum: of Muon's groups.
+        further: passed on to AdamW.
+
+    Source: K. Jordan et al., "Muon: an optimizer for hidden layers in neural networks", 2024; scale of the update from
+    J. Liu et al., "Muon is scalable for LLM training", 2025, section 2.2.
+    """
+
+    def __init__(self, params: Any, *, momentum: float = 0.95, **further: Any) -> None:
+        super().__init__(params, **further)
+        self._momentum = momentum
+
+    @torch.no_grad()
+    def step(self, closure: Any = None) -> Any:
+        """One update; gradients of Muon's groups are used up."""
+        loss = None
+        if closure is not None:
+            with torch.enable_grad():
+                loss = closure()
+        for group in self.param_groups:
+            if group.get("muon"):
+                for parameter in group["params"]:
+                    self._move(parameter, group)
+        super().step()
+        return loss
+
+    def _move(self, parameter: Tensor, group: dict[str, Any]) -> None:
+        if parameter.grad is None:
+            return
+        state = self.state[parameter]
+        if not state:
+            state["step"] = torch.zeros(())  # AdamW looks for it when a state is loaded
+            state["momentum"] = torch.zeros_like(parameter)
+        state["step"] += 1
+        momentum = state["momentum"].lerp_(parameter.grad, 1 - self._momentum)
+        ahead = parameter.grad.lerp(momentum, self._momentum)  # Nesterov
+        update = orthogonalised(ahead.flatten(1)).view(parameter.shape)
+        size = UPDATE_RMS * max(len(parameter), parameter[0].numel()) ** 0.5
+        parameter.mul_(1 - group["lr"] * group["weight_decay"]).add_(update, alpha=-group["lr"] * size)
+        parameter.grad = None
+
+
+def orthogonalised(matrix: Tensor) -> Tensor:
+    """Nearly the orthogonal matrix nearest to the given one: same singular vectors, singular values in about 0.7..1.2.
+
+    A Newton-Schulz iteration, carried out on the Gram matrix of the shorter side, which is several times cheaper than
+    on the matrix itself for the long rows of convolutions.
+
+    Args:
+        matrix: (R, C) float32.
+
+    Returns:
+        (R, C) float32.
+    """
+    if len(matrix) > matrix.shape[1]:
+        return orthogonalised(matrix.T).T
+    matrix = matrix / matrix.norm().clamp_min(1e-12)
+    gram = matrix @ matrix.T
+    total = identity = torch.eye(len(gram), dtype=gram.dtype, device=gram.device)
+    a, b, c = COEFFICIENTS
+    for _ in range(STEPS):
+        factor = a * identity + b * gram + c * (gram @ gram)
+        total = factor @ total
+        gram = factor @ gram @ factor
+    return total @ matrix

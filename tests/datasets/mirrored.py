@@ -1,0 +1,23 @@
+"""A labelled picture in a mirror."""
+
+import dataclasses
+
+import numpy as np
+
+from twohands.types import HandSample
+
+
+def mirrored(original: HandSample) -> HandSample:
+    """The picture in a mirror: columns reversed, left and right hands swapped."""
+    width = original.image.shape[1]
+    labels = original.labels[:, ::-1]
+    swapped = np.where(labels == 0, 0, np.where(labels > 7, labels - 7, labels + 7)).astype(np.uint8)
+    return dataclasses.replace(
+        original,
+        image=np.ascontiguousarray(original.image[:, ::-1]),
+        labels=np.ascontiguousarray(swapped),
+        joints_px=original.joints_px[::-1] * [-1, 1] + [width, 0],
+        joints_m=original.joints_m[::-1] * [-1, 1, 1],
+        present=original.present[::-1],
+        valid=original.valid[::-1],
+    )
