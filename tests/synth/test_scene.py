@@ -12,6 +12,7 @@ from twohands.synth.collision import segment_distance
 from twohands.synth.config import WILD, SynthConfig
 from twohands.synth.scene import (
     BARE,
+    held_up,
     inside_image,
     looking_from,
     sample_lighting,
@@ -171,6 +172,35 @@ def test_a_webcam_sees_the_person_from_in_front_with_the_left_hand_mostly_to_the
         assert (scene.joints_m[:, 1:, 2] > 0.02).all()
         leftness.append(scene.joints_m[0, 1 + ROOT, 0] > scene.joints_m[1, 1 + ROOT, 0])
     assert np.mean(leftness) > 0.6
+
+
+def test_what_is_held_up_by_hand():
+    """A flat hand half a metre away, upright, facing the camera; the same turned and pointing elsewhere."""
+    hand = np.zeros((21, 3))
+    hand[[5, ROOT, 17]] = [[-0.02, -0.09, 0], [0.0, -0.10, 0], [0.05, -0.08, 0]]
+
+    def turned(axis: int, degrees: float) -> bool:
+        angle = np.radians(degrees)
+        a, b = [i for i in range(3) if i != axis]
+        rotation = np.eye(3)
+        rotation[[a, b], [a, b]] = np.cos(angle)
+        rotation[a, b], rotation[b, a] = -np.sin(angle), np.sin(angle)
+        return bool(held_up(hand @ rotation.T + [0, 0, 5.0]))
+
+    assert turned(0, 0) and turned(1, 180)  # palm and back
+    assert turned(1, 35) and not turned(1, 55) and not turned(1, 90)  # seen on edge
+    assert turned(2, 50) and not turned(2, 70) and not turned(2, 180)  # pointing aside, down
+    assert not turned(0, 90)  # pointing at the camera
+
+
+def test_shown_hands_are_held_up():
+    config = dataclasses.replace(WILD, width=480, height=270, webcam=1.0, free_view=0.0, together=0.0)
+    shares = []
+    for shown in (0.0, 1.0):
+        scenes = [sample_scene(dataclasses.replace(config, shown=shown), 8, i) for i in range(12)]
+        hands = np.stack([scene.joints_m[side, 1:] for scene in scenes for side in np.flatnonzero(scene.present)])
+        shares.append(held_up(hands).mean())
+    assert shares[0] < 0.5 and shares[1] == 1
 
 
 def test_a_view_that_shows_no_hand_is_drawn_again():

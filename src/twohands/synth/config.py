@@ -9,7 +9,7 @@ from twohands.types import PinholeCamera
 
 SHARES = (
     *("together", "sleeves", "gloves", "objects", "watches", "rings"),
-    *("background_light", "sensor", "webcam", "free_view", "skin_detail", "gestures"),
+    *("background_light", "sensor", "webcam", "free_view", "skin_detail", "gestures", "shown"),
 )
 """Settings of `SynthConfig` between 0 and 1."""
 
@@ -45,6 +45,9 @@ class SynthConfig:
     """At least this many of a hand's 21 joints lie inside the image, `image_margin` away from its border."""
     gestures: float = 0.15
     """Share of hands with some fingers stretched and the others curled, as in pointing and counting."""
+    shown: float = 0.0
+    """Share of hands held up to the camera, palm or back towards it, as in signs and greetings (`scene.held_up`); a
+    little less, as an arm that cannot is drawn again."""
     lights: int = 4
     """Point lights with slightly random colour, brightness and position."""
     fov: tuple[float, float] | None = None

@@ -10,7 +10,7 @@ import numpy as np
 
 from twohands.errors import InputError
 from twohands.geometry.camera import project
-from twohands.skeleton import LEFT, RIGHT, ROOT
+from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
 from twohands.synth.body import BONES_PER_SIDE, Body, forward_kinematics, load_asset
 from twohands.synth.collision import hand_enters_itself, hands_collide
 from twohands.synth.config import SynthConfig
@@ -292,6 +292,16 @@ def sample_shape(config: SynthConfig, rng: np.random.Generator) -> np.ndarray:
     return (config.body_variation * (a * blend + b * (1 - blend)))[:SHAPE_RANK].astype(np.float64)
 
 
+def held_up(joints_m: np.ndarray) -> np.ndarray:
+    """Which hands (..., 21, 3), camera frame, are shown to the camera: palm or back within 45 degrees of facing it, the
+    knuckles above the wrist within 60 degrees; (...)."""
+    wrist, index, middle, little = (joints_m[..., joint, :] for joint in (WRIST, 5, ROOT, 17))
+    palm = np.cross(index - wrist, little - wrist)
+    facing = np.abs((palm * middle).sum(-1)) / (np.linalg.norm(palm, axis=-1) * np.linalg.norm(middle, axis=-1))
+    up = (wrist - middle)[..., 1] / np.linalg.norm(middle - wrist, axis=-1)
+    return (facing > np.cos(np.pi / 4)) & (up > np.cos(np.pi / 3))
+
+
 def inside_image(joints_m: np.ndarray, camera: PinholeCamera, margin: float) -> np.ndarray:
     """Which joints (..., 3) project into the image, `margin` (a fraction of its size) away from its border; (...)."""
     ahead = joints_m[..., 2] > 0.02
@@ -475,6 +485,7 @@ def _pose_arm(
         reaches the box, stays in the picture and out of itself.
     """
     low, high = hand_box(config, anatomy.side)
+    shown = config.shown > 0 and rng.random() < config.shown
     for _ in range(BATCHES):
         target = rng.uniform(low, high, (CANDIDATES, 3))
         if partner is not None:
@@ -485,8 +496,12 @@ def _pose_arm(
         joints = anatomy.joints(rotations)
         root = joints[:, 1 + ROOT]
         in_box = ((root > low) & (root < high)).all(-1)
-        inside = inside_image(moved(view, joints[:, 1:]), camera, config.image_margin).sum(-1) >= config.min_inside
-        for candidate in np.flatnonzero(reached & in_box & inside):
+        seen = moved(view, joints[:, 1:])
+        inside = inside_image(seen, camera, config.image_margin).sum(-1) >= config.min_inside
+        fitting = reached & in_box & inside
+        if shown:
+            fitting &= held_up(seen)
+        for candidate in np.flatnonzero(fitting):
             if not hand_enters_itself(body, joints[candidate]):
                 return rotations[candidate], joints[candidate]
     return None
