@@ -37,7 +37,7 @@ from twohands.evaluation.summary import markdown_table
 from twohands.geometry.projection import Method, project_global
 from twohands.inference.budget import STUDIES
 from twohands.inference.engine import Networks, load_networks
-from twohands.inference.estimator import NO_TRUTH, SECOND_LOOK_IOU, HandEstimator, StageTruth
+from twohands.inference.estimator import DOUBT, NO_TRUTH, SECOND_LOOK_IOU, HandEstimator, StageTruth
 from twohands.inference.ground_truth import HeatmapTargets, TruthfulEstimator
 from twohands.inference.smoothing_sweep import smoothing_sweep
 from twohands.inference.weights import DEFAULT_PRESET, WeightsCard, preset_folder, weights_id
@@ -215,6 +215,13 @@ def looking_again(networks: Networks, card: WeightsCard, below: float) -> HandEs
     return estimator
 
 
+def doubting(networks: Networks, card: WeightsCard, doubt: tuple[float, float]) -> HandEstimator:
+    """A pipeline that looks at the mirror image too where the score of a hand lies in between."""
+    estimator = HandEstimator(networks, card)
+    estimator.doubt = doubt
+    return estimator
+
+
 def isolated(complete: TruthfulEstimator, targets: HeatmapTargets) -> dict[str, Estimate]:
     """The studies of the error budget, the last of which is the complete pipeline itself."""
     studies = {
@@ -261,6 +268,15 @@ def ablations(complete: TruthfulEstimator, floating: Networks | None) -> list[Ab
                 "never": TruthfulEstimator(looking_again(networks, card, 0.0)),
                 f"overlap below {SECOND_LOOK_IOU:g}": complete,
                 "always": TruthfulEstimator(looking_again(networks, card, math.inf)),
+            },
+        ),
+        Ablation(
+            "Mirror image",
+            "Ours: in doubt, HandSegNet looks at the picture's mirror image too. The paper looks once.",
+            {
+                "never": TruthfulEstimator(doubting(networks, card, (math.inf, -math.inf))),
+                f"a score between {DOUBT[0]:g} and {DOUBT[1]:g}": complete,
+                "always": TruthfulEstimator(doubting(networks, card, (-math.inf, math.inf))),
             },
         ),
     ]

@@ -70,8 +70,8 @@ UNUSED = Networks(unused_network, unused_network, unused_network)
 class Oracle:
     """Three networks that return the truth about one sample, in the form in which trained ones would.
 
-    Each checks what it is fed: the first gets the whole picture, the second the crops that the pipeline's own boxes
-    give, the third the second's maps.
+    Each checks what it is fed: the first gets the whole picture, or its mirror image, the second the crops that the
+    pipeline's own boxes give, the third the second's maps.
 
     Attributes:
         estimator: a pipeline that runs on these networks.
@@ -94,7 +94,10 @@ class Oracle:
         seg_logits = 20.0 * np.stack([hand_masks(self.sample) == k for k in range(3)]) - 10.0
         energy = encode_energy(true_boxes(self.sample), self.sample.present, height, width)
         energy = np.clip(energy, 1e-6, 1 - 1e-6)
-        return seg_logits[None].astype(np.float32), np.log(energy / (1 - energy))[None].astype(np.float32)
+        energy_logits = np.log(energy / (1 - energy))
+        if np.array_equal(batch, network_input(self.sample.image[None, :, ::-1])):
+            seg_logits, energy_logits = seg_logits[[0, 2, 1], :, ::-1], energy_logits[::-1, :, ::-1]
+        return seg_logits[None].astype(np.float32), energy_logits[None].astype(np.float32)
 
     def pose_net_2d(self, batch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         self.calls.append("pose_net_2d")

@@ -140,13 +140,29 @@ def test_looks_at_a_picture(tmp_path):
         assert looks == expected
 
 
+def test_looks_at_the_mirror_image(tmp_path):
+    shipped = HandEstimator.from_preset(write_tiny_weights(tmp_path))
+    seen: list[np.ndarray] = []
+
+    def hand_seg_net(batch):
+        seen.append(batch)
+        return shipped.networks.hand_seg_net(batch)
+
+    networks, sample = dataclasses.replace(shipped.networks, hand_seg_net=hand_seg_net), make_samples(1)[0]
+    for doubt, looks in (((math.inf, -math.inf), 1), ((-math.inf, math.inf), 2)):
+        seen.clear()
+        pa.doubting(networks, shipped.card, doubt).estimate(sample.image, sample.camera)
+        assert len(seen) == looks
+    np.testing.assert_array_equal(seen[1], seen[0][..., ::-1])
+
+
 def test_tables_are_left_out_where_the_weights_do_not_have_it():
     def titles(card, floating=None):
         found = pa.ablations(TruthfulEstimator(HandEstimator(UNUSED, card)), floating)
         assert all(sum(variant.estimator.card == card for variant in a.variants.values()) >= 1 for a in found)
         return [ablation.title for ablation in found]
 
-    always = ["Read-out of the heatmaps", "Range in closed form", "Second look"]
+    always = ["Read-out of the heatmaps", "Range in closed form", "Second look", "Mirror image"]
     assert titles(CARD) == always
     assert titles(make_card(judge=True)) == [*always, "Judge"]
     assert titles(CARD, dataclasses.replace(UNUSED, runtime="float")) == [*always, "Arithmetic"]

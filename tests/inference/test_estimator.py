@@ -8,7 +8,7 @@ from tests.oracles import UNUSED, Oracle, drawn_hands, full_truth, hand_masks, m
 
 from twohands.errors import InputError
 from twohands.geometry.canonical import canonical_from_camera
-from twohands.geometry.segmentation import HandBoxes
+from twohands.geometry.segmentation import HandBoxes, network_input
 from twohands.inference.engine import Networks
 from twohands.inference.estimator import HandEstimator, StageTruth, joint_boxes
 from twohands.skeleton import LEFT, RIGHT
@@ -176,6 +176,29 @@ def test_true_presence_overrules_a_low_score_but_the_box_is_still_estimated():
     assert told.present.tolist() == [True, False]
     assert np.isnan(told.boxes_px[RIGHT]).all()
     np.testing.assert_allclose(told.boxes_px[LEFT], true_boxes(sample)[LEFT], atol=6)
+
+
+def test_in_doubt_both_the_picture_and_its_mirror_image_count():
+    """A ghost that is seen in one of the two only, as faintly as the true hand is seen clearly, is gone in the mean."""
+    sample = drawn_hands(5, present=(True, False))
+    oracle = Oracle(sample, make_card())
+
+    def seeing_a_ghost(batch):
+        seg_logits, energy_logits = oracle.hand_seg_net(batch)
+        if np.array_equal(batch, network_input(sample.image[None])):
+            seg_logits[:, 2, :60, :60], energy_logits[:, 1, 10:50, 10:50] = 12.0, 2.0
+        return seg_logits, energy_logits
+
+    networks = dataclasses.replace(oracle.estimator.networks, hand_seg_net=seeing_a_ghost)
+    estimator = HandEstimator(networks, oracle.card)
+    estimator.doubt = (1.0, 1.0)
+    assert estimator.segment(sample.image)[1].present.tolist() == [True, True]
+    assert oracle.calls == ["hand_seg_net"]
+    estimator.doubt = (0.5, 0.95)
+    masks, boxes = estimator.segment(sample.image)
+    assert oracle.calls == 3 * ["hand_seg_net"]
+    assert boxes.present.tolist() == [True, False]
+    np.testing.assert_array_equal(masks, hand_masks(sample))
 
 
 def test_mirrored_picture_gives_the_mirrored_result_with_hands_swapped():

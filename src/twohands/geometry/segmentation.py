@@ -190,6 +190,25 @@ def hand_scores(energies: np.ndarray, seg_logits: np.ndarray) -> np.ndarray:
     return 1 / (1 + np.exp(-(log_odds(energies.max(axis=(1, 2))) + leads) / 2))
 
 
+def mean_of_mirrored(
+    maps: tuple[np.ndarray, np.ndarray], mirrored: tuple[np.ndarray, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean of HandSegNet's answers for a picture and for its mirror image, in which a left hand is a right one.
+
+    Ours. Two looks at one picture err differently.
+
+    Args:
+        maps: seg_logits (3, h, w) for background, left, right; energies (2, h, w) for LEFT and RIGHT, 0..1.
+        mirrored: the same for the mirror image.
+
+    Returns:
+        seg_logits and energies for the picture; energies are averaged as log-odds.
+    """
+    seg_logits = (maps[0] + mirrored[0][[0, 2, 1], :, ::-1]) / 2
+    odds = (log_odds(maps[1]) + log_odds(mirrored[1][::-1, :, ::-1])) / 2
+    return seg_logits, 1 / (1 + np.exp(-odds))
+
+
 def boxes_from_energy(
     energies: np.ndarray,
     image_size: tuple[int, int],

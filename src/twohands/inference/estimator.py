@@ -24,6 +24,7 @@ from twohands.geometry.segmentation import (
     hand_scores,
     letterbox,
     masks_from_logits,
+    mean_of_mirrored,
     network_input,
 )
 from twohands.inference.engine import Networks, load_networks
@@ -42,6 +43,11 @@ SECOND_LOOK_IOU = 0.65
 Ours; the paper looks once. It concerns a fifth of the hands. On 160 test images it brought the root's direction from
 92 % within 1.5 degrees to 94 %, and the mean camera-space error from 18.4 to 17.5 mm; a second look at all hands gives
 no more.
+"""
+DOUBT = (0.03, 0.97)
+"""Scores of a hand between which HandSegNet looks at the picture's mirror image too; the mean of both looks counts.
+
+Ours.
 """
 SMALLEST_BOX_PX = 8.0
 METHOD = "all-joints"
@@ -130,6 +136,7 @@ class HandEstimator:
         self.card = card
         self.threshold = CANDIDATE_THRESHOLD if card.judge else PRESENCE_THRESHOLD
         self.second_look_iou = SECOND_LOOK_IOU
+        self.doubt = DOUBT
 
     @classmethod
     def from_preset(cls, preset: str | Path = DEFAULT_PRESET, threads: int = 0) -> HandEstimator:
@@ -196,8 +203,12 @@ class HandEstimator:
         masks, boxes = truth.masks, _true_boxes(truth)
         if masks is None or boxes is None:
             seg_logits, energies = self.hand_maps(image)
-            if boxes is None:
+            scores = hand_scores(energies, seg_logits)
+            if ((scores > self.doubt[0]) & (scores < self.doubt[1])).any():
+                mirrored = self.hand_maps(np.ascontiguousarray(image[:, ::-1]))
+                seg_logits, energies = mean_of_mirrored((seg_logits, energies), mirrored)
                 scores = hand_scores(energies, seg_logits)
+            if boxes is None:
                 boxes = boxes_from_energy(energies, size, scores, truth.present, self.threshold)
             if masks is None:
                 masks = masks_from_logits(seg_logits, size, boxes.present)
