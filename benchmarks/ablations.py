@@ -33,7 +33,7 @@ from twohands.training.sources import open_source
 from twohands.training.trainer import TrainResult, train
 
 SMALL = (
-    *("max_minutes=0", "optim.along_rate=0", "crop.background=0"),
+    *("max_minutes=0", "optim.optimizer=adamw", "optim.along_rate=0", "crop.background=0"),
     *("data.empty=0", "data.clutter=0", "crop.roll=0", "augment.mirrored=0", "networks.pose_net_3d.width=0.5"),
 )
 """What all rows change in recipe `ours`."""

@@ -19,8 +19,9 @@ N_JOINTS: Final = 21
 WRIST: Final = 0
 ROOT: Final = 9
 """Root joint: the middle finger's knuckle (mMCP), origin of the canonical frame."""
+INDEX_MCP: Final = 5
 LITTLE_MCP: Final = 17
-PALM: Final = (WRIST, 5, ROOT, 13, LITTLE_MCP)
+PALM: Final = (WRIST, INDEX_MCP, ROOT, 13, LITTLE_MCP)
 """Wrist and the four fingers' knuckles, which hardly move against each other."""
 FINGERTIPS: Final = (4, 8, 12, 16, 20)
 

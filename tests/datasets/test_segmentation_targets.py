@@ -147,7 +147,7 @@ def test_a_cut_picture_is_upright_or_square_and_keeps_most_of_a_hand():
 def test_outside_a_picture_is_grey_whatever_its_colours():
     original = sample()
     photometric = PhotometricConfig(brightness=0.2, contrast=0.3, noise=0.05)
-    zoom = ZoomConfig(zoom=0.4, roll=45.0, cut=0.5)
+    zoom = ZoomConfig(zoom=0.4, roll=45.0, cut=1.0)
     bordered = 0
     for seed in range(20):
         rng = np.random.default_rng(seed)

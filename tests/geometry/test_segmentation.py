@@ -176,18 +176,17 @@ def test_every_shape_of_picture_can_be_put_in_and_taken_out(shape):
 
 def test_the_mean_of_mirrored_answers_swaps_sides_and_columns_back():
     rng = np.random.default_rng(3)
-    logits, energies = rng.normal(size=(3, 4, 6)), rng.uniform(0.1, 0.9, (2, 4, 6))
+    logits, energies = rng.normal(size=(3, 4, 6)), rng.normal(size=(2, 4, 6))
     mirror = (logits[[0, 2, 1], :, ::-1], energies[[1, 0], :, ::-1])
     for found, given in zip(mean_of_mirrored((logits, energies), mirror), (logits, energies), strict=True):
         np.testing.assert_allclose(found, given)
-    # By hand: 0 and 1 as logits 0 and 2, left; odds of 1 to 4 and 9 to 1: their geometric mean is 1.5 to 1.
-    logits, energies = np.zeros((3, 1, 2)), np.full((2, 1, 2), 0.5)
+    logits, energies = np.zeros((3, 1, 2)), np.zeros((2, 1, 2))
     mirrored = (logits.copy(), energies.copy())
-    mirrored[0][2, 0, 0] = 2.0
-    energies[0, 0, 1], mirrored[1][1, 0, 0] = 0.2, 0.9
-    seg_logits, mean = mean_of_mirrored((logits, energies), mirrored)
-    assert seg_logits[1, 0, 1] == 1.0 and np.count_nonzero(seg_logits) == 1
-    assert mean[0, 0, 1] == pytest.approx(0.6) and np.allclose(np.delete(mean.ravel(), 1), 0.5)
+    mirrored[0][2, 0, 0], mirrored[1][1, 0, 0] = 2.0, 3.0  # a right hand at the mirror image's left
+    energies[0, 0, 1] = 1.0
+    masks, mean = mean_of_mirrored((logits, energies), mirrored)  # is a left one at the picture's right
+    assert masks[1, 0, 1] == 1.0 and np.count_nonzero(masks) == 1
+    assert mean[0, 0, 1] == 2.0 and np.count_nonzero(mean) == 1
 
 
 def test_masks_are_the_largest_logit():

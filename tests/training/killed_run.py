@@ -18,7 +18,7 @@ from twohands.training.trainer import train
 
 
 def run(folder: Path) -> None:
-    """Two networks, averages, AdamW, random crops, validation; the state is saved after every step."""
+    """Two networks, averages, Muon, random crops, validation; the state is saved after every step."""
     config = tiny_run("pose_net_3d", iterations=24, log_every=1, validate_every=10, checkpoint_minutes=0.0)
     start = folder.parent / f"{folder.name}_start" / "pose_net_2d.safetensors"
     torch.manual_seed(5)

@@ -78,6 +78,7 @@ def test_our_recipe_fits_together():
     config = recipe("ours", "pose_net_3d")
     assert config.networks.pose_net_2d.activation == "softmax" and config.loss.heatmap == "cross-entropy"
     assert config.optim.along_rate > 0 and config.loss.heatmap_along > 0
+    assert config.optim.optimizer == "muon"
 
 
 def test_overrides():

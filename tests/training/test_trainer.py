@@ -78,13 +78,18 @@ def test_interrupted_and_resumed_equals_undisturbed(tmp_path, stage):
     assert train_rows[0] == train_rows[1]
 
 
-def test_muon_resumes_exactly(tmp_path):
-    """Its momentum is kept too, and in the memory layout that decides how it is rounded."""
+@pytest.mark.parametrize(("optimizer", "kept"), [("adamw", {"exp_avg_sq"}), ("muon", {"momentum", "exp_avg_sq"})])
+def test_what_an_optimizer_remembers_is_kept(tmp_path, optimizer, kept):
+    """And in the memory layout that decides how it is rounded."""
     config = tiny_run("hand_seg_net", iterations=5, validate_every=100)
-    config = dataclasses.replace(config, optim=dataclasses.replace(config.optim, optimizer="muon"))
+    config = dataclasses.replace(config, optim=dataclasses.replace(config.optim, optimizer=optimizer))
     whole = train(config, SAMPLES, [], tmp_path / "whole")
     train(config, SAMPLES, [], tmp_path / "parts", stop_after=3)
-    assert any(name.endswith(".momentum") for name in load_tensors(tmp_path / "parts" / "state.safetensors")[0])
+    names = {name.rsplit(".", 1)[1] for name in load_tensors(tmp_path / "parts" / "state.safetensors")[0]}
+    assert kept <= names
+    other = dataclasses.replace(config, optim=dataclasses.replace(config.optim, optimizer="sgd"))
+    with pytest.raises(InputError, match=f"a run with {optimizer}, not sgd"):
+        train(other, SAMPLES, [], tmp_path / "parts", resume=True)
     parts = train(config, SAMPLES, [], tmp_path / "parts", resume=True)
     files = [run.checkpoints["hand_seg_net"] for run in (whole, parts)]
     assert same_weights(*(load_network("hand_seg_net", file) for file in files))
@@ -258,6 +263,8 @@ def test_optimizers_of_the_recipes():
     hidden = [group for group in muon.param_groups if group.get("muon")]
     assert len(hidden) == 1 and all(min(p.shape[:2]) >= 32 for p in hidden[0]["params"])
     assert sum(len(group["params"]) for group in muon.param_groups) == len(list(stage.parameters()))
+    assert [group["weight_decay"] for group in muon.param_groups] == [0.01, 0.01, 0.0]
+    assert all(p.ndim == 1 for p in muon.param_groups[2]["params"])
     sgd = build_optimizer(stage, OptimConfig("sgd"))
     assert sgd.param_groups[0]["momentum"] == 0
 

@@ -139,6 +139,7 @@ def open_segmentation(checkpoint: Path) -> Segment:
     if checkpoint.name != "hand_seg_net.onnx" or not (checkpoint.parent / "card.json").is_file():
         return Segmenter(checkpoint)
     estimator = HandEstimator.from_preset(checkpoint.parent, threads=1)
+    estimator.doubt = (1.0, 1.0)  # a single look, like `Segmenter`: the time is the training's
 
     def segment(images: Sequence[np.ndarray]) -> list[Segmentation]:
         found = [estimator.segment(image) for image in images]

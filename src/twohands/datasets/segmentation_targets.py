@@ -134,8 +134,8 @@ def _cut(image, labels, points, rng: np.random.Generator):
 
 
 def _zoomed(image, classes, points, config: ZoomConfig, rng: np.random.Generator):
-    """Scale about the centre, shift, perhaps flip (swapping left and right), perhaps turn. Returns the picture, classes
-    (`OUTSIDE` where there is no picture) and joints."""
+    """Scale about the centre, shift, perhaps flip (swapping left and right), perhaps turn; the edge goes on outside, so
+    that arms that leave the picture are not cut off. Returns the picture, classes and joints."""
     height, width = classes.shape
     scale = 2.0 ** rng.uniform(-config.zoom, config.zoom)
     shift = rng.uniform(-config.shift, config.shift, 2) * [width, height]
@@ -151,8 +151,9 @@ def _zoomed(image, classes, points, config: ZoomConfig, rng: np.random.Generator
     matrix = np.column_stack([linear, middle + shift * [-1 if flip else 1, 1] - linear @ centre])
     centred = matrix.copy()
     centred[:, 2] += matrix[:, :2] @ [0.5, 0.5] - 0.5  # cv2 counts from the first pixel's centre
-    image = cv2.warpAffine(image, centred, (width, height), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    classes = cv2.warpAffine(classes, centred, (width, height), flags=cv2.INTER_NEAREST, borderValue=OUTSIDE)
+    edge = cv2.BORDER_REPLICATE
+    image = cv2.warpAffine(image, centred, (width, height), flags=cv2.INTER_LINEAR, borderMode=edge)
+    classes = cv2.warpAffine(classes, centred, (width, height), flags=cv2.INTER_NEAREST, borderMode=edge)
     points = points @ linear.T + matrix[:, 2]
     if flip:
         classes = np.array([0, 2, 1, OUTSIDE], np.uint8)[np.asarray(classes, np.uint8)]

@@ -68,8 +68,8 @@ def letterbox(image: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, Let
     """Fit a picture into a network's input without stretching it.
 
     A picture of nearly the input's own aspect ratio fills it. Any other is centred, so that hands keep the shape that
-    the network has learned, with a border of the grey that the network sees as 0, which is what its convolutions take
-    to be outside a picture.
+    the network has learned, with a border of the grey that the network sees as 0, which is what its first convolution
+    takes to be outside a picture.
 
     Args:
         image: (H, W, 3) uint8.
@@ -198,15 +198,14 @@ def mean_of_mirrored(
     Ours. Two looks at one picture err differently.
 
     Args:
-        maps: seg_logits (3, h, w) for background, left, right; energies (2, h, w) for LEFT and RIGHT, 0..1.
+        maps: logits of masks (3, h, w) for background, left, right, and of energies (2, h, w) for LEFT and RIGHT.
         mirrored: the same for the mirror image.
 
     Returns:
-        seg_logits and energies for the picture; energies are averaged as log-odds.
+        Logits of masks and energies for the picture.
     """
-    seg_logits = (maps[0] + mirrored[0][[0, 2, 1], :, ::-1]) / 2
-    odds = (log_odds(maps[1]) + log_odds(mirrored[1][::-1, :, ::-1])) / 2
-    return seg_logits, 1 / (1 + np.exp(-odds))
+    (masks, energies), (mirrored_masks, mirrored_energies) = maps, mirrored
+    return (masks + mirrored_masks[[0, 2, 1], :, ::-1]) / 2, (energies + mirrored_energies[::-1, :, ::-1]) / 2
 
 
 def boxes_from_energy(

@@ -203,22 +203,31 @@ class HandEstimator:
         masks, boxes = truth.masks, _true_boxes(truth)
         if masks is None or boxes is None:
             seg_logits, energies = self.hand_maps(image)
-            scores = hand_scores(energies, seg_logits)
-            if ((scores > self.doubt[0]) & (scores < self.doubt[1])).any():
-                mirrored = self.hand_maps(np.ascontiguousarray(image[:, ::-1]))
-                seg_logits, energies = mean_of_mirrored((seg_logits, energies), mirrored)
-                scores = hand_scores(energies, seg_logits)
             if boxes is None:
+                scores = hand_scores(energies, seg_logits)
                 boxes = boxes_from_energy(energies, size, scores, truth.present, self.threshold)
             if masks is None:
                 masks = masks_from_logits(seg_logits, size, boxes.present)
         return masks, boxes
 
     def hand_maps(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """HandSegNet: seg_logits (3, h, w) and energies (2, h, w), 0..1, over the whole picture and nothing else."""
+        """HandSegNet: seg_logits (3, h, w) and energies (2, h, w), 0..1, over the whole picture and nothing else; the
+        mean of two looks in doubt (`DOUBT`)."""
         canvas, place = letterbox(image, self.card.seg_input_size)
-        seg_logits, energy_logits = self.networks.hand_seg_net(network_input(canvas[None]))
-        return place.content(seg_logits[0]), 1.0 / (1.0 + np.exp(-place.content(energy_logits[0])))
+
+        def look(pictures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            seg_logits, energy_logits = self.networks.hand_seg_net(network_input(pictures))
+            return seg_logits[0], energy_logits[0]
+
+        def content(maps: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+            return place.content(maps[0]), 1.0 / (1.0 + np.exp(-place.content(maps[1])))
+
+        maps = look(canvas[None])
+        seg_logits, energies = content(maps)
+        scores = hand_scores(energies, seg_logits)
+        if ((scores > self.doubt[0]) & (scores < self.doubt[1])).any():
+            return content(mean_of_mirrored(maps, look(canvas[None, :, ::-1])))
+        return seg_logits, energies
 
     def find_joints(
         self,

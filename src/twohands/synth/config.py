@@ -46,8 +46,8 @@ class SynthConfig:
     gestures: float = 0.15
     """Share of hands with some fingers stretched and the others curled, as in pointing and counting."""
     shown: float = 0.0
-    """Share of hands held up to the camera, palm or back towards it, as in signs and greetings (`scene.held_up`); a
-    little less, as an arm that cannot is drawn again."""
+    """Share of hands that must be held up to the camera, palm or back towards it, as in signs and greetings
+    (`scene.held_up`); some of the others are so by chance."""
     lights: int = 4
     """Point lights with slightly random colour, brightness and position."""
     fov: tuple[float, float] | None = None

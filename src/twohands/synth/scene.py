@@ -10,7 +10,7 @@ import numpy as np
 
 from twohands.errors import InputError
 from twohands.geometry.camera import project
-from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
+from twohands.skeleton import INDEX_MCP, LEFT, LITTLE_MCP, RIGHT, ROOT, WRIST
 from twohands.synth.body import BONES_PER_SIDE, Body, forward_kinematics, load_asset
 from twohands.synth.collision import hand_enters_itself, hands_collide
 from twohands.synth.config import SynthConfig
@@ -293,9 +293,9 @@ def sample_shape(config: SynthConfig, rng: np.random.Generator) -> np.ndarray:
 
 
 def held_up(joints_m: np.ndarray) -> np.ndarray:
-    """Which hands (..., 21, 3), camera frame, are shown to the camera: palm or back within 45 degrees of facing it, the
-    knuckles above the wrist within 60 degrees; (...)."""
-    wrist, index, middle, little = (joints_m[..., joint, :] for joint in (WRIST, 5, ROOT, 17))
+    """Which hands (..., 21, 3), camera frame, metres, are shown to the camera: palm or back within 45 degrees of facing
+    it, the knuckles above the wrist within 60 degrees; (...) bool."""
+    wrist, index, middle, little = (joints_m[..., joint, :] for joint in (WRIST, INDEX_MCP, ROOT, LITTLE_MCP))
     palm = np.cross(index - wrist, little - wrist)
     facing = np.abs((palm * middle).sum(-1)) / (np.linalg.norm(palm, axis=-1) * np.linalg.norm(middle, axis=-1))
     up = (wrist - middle)[..., 1] / np.linalg.norm(middle - wrist, axis=-1)

@@ -113,7 +113,8 @@ def segmentation_batch(samples: Sequence[HandSample], config: TrainConfig, rngs:
 
 
 class Segmenter:
-    """A trained HandSegNet, as the pose stages will meet it: the network and the reading of its maps.
+    """A trained HandSegNet, as the pose stages will meet it but for its second look in doubt: the network and how its
+    maps are read.
 
     Args:
         checkpoint: written by the trainer, or the ONNX file of a preset.

@@ -74,7 +74,7 @@ class AugmentConfig:
     mirrored: float = 0.0
     """Share of crops shown mirrored, as hands of the wrong side (pose stages with a judge)."""
     zoom: ZoomConfig = field(default_factory=ZoomConfig)
-    """Scale, shift, flip, turn (segmentation stage)."""
+    """Scale, shift, flip, turn, close hands, other shapes (segmentation stage)."""
 
 
 @dataclass(frozen=True)

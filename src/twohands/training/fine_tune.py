@@ -80,5 +80,6 @@ def fine_tuning_run(
         networks=networks,
         max_minutes=minutes * SHARES[stage],
         data=dataclasses.replace(config.data, source=str(frames), segmentation=str(segmentation) if pose else ""),
+        augment=dataclasses.replace(config.augment, zoom=dataclasses.replace(config.augment.zoom, cut=0.0)),
         optim=dataclasses.replace(config.optim, learning_rate=LEARNING_RATE),
     )

@@ -7,6 +7,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+HIDDEN = 32
+"""Least inputs and outputs of a layer that Muon moves: first layers and those that give maps have fewer."""
 COEFFICIENTS = (3.4445, -4.7750, 2.0315)
 """Of the odd polynomial that draws singular values towards 1; chosen by its authors for speed, it ends in 0.7..1.2."""
 STEPS = 5
@@ -19,10 +21,11 @@ class Muon(torch.optim.AdamW):
 
     The gradient of a layer is dominated by a few directions; a rare one, which may tell left from right, is lost beside
     them. Setting all singular values of the momentum to about 1 gives it the same weight. Convolutions count as
-    matrices (outputs, inputs x rows x columns).
+    matrices (outputs, inputs x rows x columns), transposed ones as (inputs, outputs x rows x columns).
 
     Args:
-        params: groups as for AdamW; those with "muon": True must hold matrices or convolutions only.
+        params: groups as for AdamW; those with "muon": True must hold matrices or convolutions only. They may have a
+            "momentum" of their own.
         momentum: of Muon's groups.
         further: passed on to AdamW.
 
@@ -32,36 +35,37 @@ class Muon(torch.optim.AdamW):
 
     def __init__(self, params: Any, *, momentum: float = 0.95, **further: Any) -> None:
         super().__init__(params, **further)
-        self._momentum = momentum
+        for group in self.param_groups:
+            if group.get("muon"):
+                group.setdefault("momentum", momentum)
 
     @torch.no_grad()
-    def step(self, closure: Any = None) -> Any:
+    def step(self) -> None:  # type: ignore[override]
         """One update; gradients of Muon's groups are used up."""
-        loss = None
-        if closure is not None:
-            with torch.enable_grad():
-                loss = closure()
         for group in self.param_groups:
             if group.get("muon"):
                 for parameter in group["params"]:
-                    self._move(parameter, group)
+                    if parameter.grad is not None:
+                        self._move(parameter, parameter.grad, group)
+                        parameter.grad = None
         super().step()
-        return loss
 
-    def _move(self, parameter: Tensor, group: dict[str, Any]) -> None:
-        if parameter.grad is None:
-            return
+    def _move(self, parameter: Tensor, gradient: Tensor, group: dict[str, Any]) -> None:
         state = self.state[parameter]
         if not state:
             state["step"] = torch.zeros(())  # AdamW looks for it when a state is loaded
             state["momentum"] = torch.zeros_like(parameter)
         state["step"] += 1
-        momentum = state["momentum"].lerp_(parameter.grad, 1 - self._momentum)
-        ahead = parameter.grad.lerp(momentum, self._momentum)  # Nesterov
+        momentum = state["momentum"].lerp_(gradient, 1 - group["momentum"])
+        ahead = gradient.lerp(momentum, group["momentum"])  # Nesterov
         update = orthogonalised(ahead.flatten(1)).view(parameter.shape)
         size = UPDATE_RMS * max(len(parameter), parameter[0].numel()) ** 0.5
         parameter.mul_(1 - group["lr"] * group["weight_decay"]).add_(update, alpha=-group["lr"] * size)
-        parameter.grad = None
+
+
+def is_hidden(parameter: Tensor) -> bool:
+    """Whether Muon moves a parameter of recipe `ours`: a matrix or convolution with enough inputs and outputs."""
+    return parameter.ndim > 1 and min(parameter.shape[:2]) >= HIDDEN
 
 
 def orthogonalised(matrix: Tensor) -> Tensor:

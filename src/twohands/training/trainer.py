@@ -30,7 +30,7 @@ from twohands.training.batches import (
     validation_batches,
 )
 from twohands.training.config import OptimConfig, TrainConfig
-from twohands.training.muon import Muon
+from twohands.training.muon import Muon, is_hidden
 from twohands.training.parallel import process_layout, share_batch_norm
 from twohands.training.schedule import learning_rate, progress, update_average
 from twohands.training.stages import Stage, build_stage
@@ -38,8 +38,6 @@ from twohands.training.stages import Stage, build_stage
 STATE_FILE = "state.safetensors"
 CONFIG_FILE = "config.json"
 LOG_FILE = "log.csv"
-HIDDEN = 32
-"""Least inputs and outputs of a layer that Muon moves; pictures, maps and answers have fewer."""
 LOG_COLUMNS = ("iteration", "minutes", "split", "metric", "value")
 
 
@@ -64,7 +62,7 @@ def build_optimizer(stage: Stage, config: OptimConfig) -> torch.optim.Optimizer:
     """The optimizer of a run; each group keeps its relative learning rate under the key "share".
 
     AdamW and Muon spare vectors (biases, batch normalisation) from weight decay; Adam, as in the paper, does not. Muon
-    moves the hidden layers: those with many inputs and outputs.
+    moves the hidden layers (`muon.is_hidden`).
     """
     groups: list[dict[str, Any]] = []
     for parameters, share in stage.parameter_groups():
@@ -72,9 +70,8 @@ def build_optimizer(stage: Stage, config: OptimConfig) -> torch.optim.Optimizer:
             wide = [p for p in parameters if p.ndim > 1]
             flat = [p for p in parameters if p.ndim <= 1]
             if config.optimizer == "muon":
-                hidden = [p for p in wide if min(p.shape[:2]) >= HIDDEN]
+                hidden, wide = [p for p in wide if is_hidden(p)], [p for p in wide if not is_hidden(p)]
                 groups.append({"params": hidden, "share": share, "weight_decay": config.weight_decay, "muon": True})
-                wide = [p for p in wide if min(p.shape[:2]) < HIDDEN]
             groups.append({"params": wide, "share": share, "weight_decay": config.weight_decay})
             groups.append({"params": flat, "share": share, "weight_decay": 0.0})
         else:
@@ -110,16 +107,20 @@ class TrainState:
         header = {"iteration": self.iteration, "elapsed_s": self.elapsed_s, "config": config.to_dict()}
         save_tensors(tensors, {"format": "twohands-training-state-1", "state": json.dumps(header)}, path)
 
-    def restore(self, path: Path) -> None:
+    def restore(self, path: Path, config: TrainConfig) -> None:
         """Continue from a written file.
 
         Raises:
             CheckpointError: missing, damaged, or of a run with other networks.
+            InputError: of a run with another optimizer.
         """
         tensors, metadata = load_tensors(path)
         if "state" not in metadata:
             raise CheckpointError(f"{path} is not a saved training state")
         header = json.loads(metadata["state"])
+        before = header["config"]["optim"]["optimizer"]
+        if before != config.optim.optimizer:
+            raise InputError(f"{path} is the state of a run with {before}, not {config.optim.optimizer}")
         try:
             self.stage.load_state_dict(_below("stage.", tensors))
             if self.average is not None:
@@ -195,7 +196,7 @@ def train(
     if state.average is not None:
         state.average.to(fabric.device)
     if resume:
-        state.restore(state_path)
+        state.restore(state_path, config)
     if first:
         if not resume:
             state.save(state_path, config)  # before the config: a run that was killed at once can be resumed too
