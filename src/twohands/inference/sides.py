@@ -21,18 +21,18 @@ CANDIDATE_THRESHOLD: Final = 0.4
 This and the next four were chosen together, with the shipped weights, on generated pictures that are neither trained
 nor tested on, and on the photographs that training puts behind hands.
 """
-TURN_BELOW: Final = 0.0
+TURN_BELOW: Final = -1.0
 """Log-odds of PoseNet2D below which it looks at a candidate's mirror image too: seldom at an egocentric view."""
-SEG_WEIGHT: Final = 0.55
+SEG_WEIGHT: Final = 0.6
 """Weight of HandSegNet's log-odds in the decision; PoseNet2D's have the rest. HandSegNet sees the person."""
 SEG_LIMIT: Final = 4.0
 """HandSegNet's log-odds are limited to this size: it may be sure and wrong."""
-TURN_COST: Final = 1.5
+TURN_COST: Final = 2.0
 """Log-odds taken off where a hand is on the other side than HandSegNet says: most often it is right."""
 ONE_PLACE: Final = 0.1
 """Two candidates whose wrists and root joints are nearer to each other than this share of the larger box are in one
 place."""
-ONE_PLACE_COST: Final = 1.3
+ONE_PLACE_COST: Final = 0.3
 """Log-odds taken off where two hands are in one place: of 19 such pairs in generated pictures 4 were two hands."""
 
 
