@@ -47,7 +47,9 @@ no more.
 DOUBT = (0.03, 0.97)
 """Scores of a hand between which HandSegNet looks at the picture's mirror image too; the mean of both looks counts.
 
-Ours.
+Ours. It concerns three of ten pictures of preset paper and most of preset wild. On 850 generated pictures with
+`inference.sides` chosen for either, presence before a webcam was right for 93.5 instead of 90.5 % of the hands; two
+looks at all pictures bring a little more, and cost twice as much.
 """
 SMALLEST_BOX_PX = 8.0
 METHOD = "all-joints"
