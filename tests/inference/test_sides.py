@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from twohands.geometry.segmentation import log_odds
-from twohands.inference.sides import assign_sides, corrected_masks, in_one_place
+from twohands.inference.sides import ONE_PLACE_COST, SEG_WEIGHT, assign_sides, corrected_masks, in_one_place
 
 NO = np.nan
 MEETING = np.array([[1, 0, 4, 1], [3, 0, 5, 1.0]])
@@ -47,7 +47,8 @@ def test_mirrored_evidence_gives_the_mirrored_answer():
 
 
 def test_two_hands_in_one_place_need_more_evidence():
-    doubtful = np.array([0.7, 0.6]), np.array([4.0, 1.0]), np.full(2, NO)
+    half_the_cost = 0.5 * ONE_PLACE_COST / (1 - SEG_WEIGHT)
+    doubtful = np.array([0.7, 0.5]), np.array([4.0, half_the_cost]), np.full(2, NO)
     assert assign_sides(*doubtful)[0].tolist() == [0, 1]
     assert assign_sides(*doubtful, one_place=True)[0].tolist() == [0, -1]
     clear = np.array([0.9, 0.9]), np.array([4.0, 5.0]), np.full(2, NO)

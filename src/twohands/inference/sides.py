@@ -33,7 +33,7 @@ ONE_PLACE: Final = 0.1
 """Two candidates whose wrists and root joints are nearer to each other than this share of the larger box are in one
 place."""
 ONE_PLACE_COST: Final = 0.3
-"""Log-odds taken off where two hands are in one place: of 19 such pairs in generated pictures 4 were two hands."""
+"""Log-odds taken off where two hands are in one place: of 58 such pairs in generated pictures 16 were two hands."""
 
 
 def assign_sides(
