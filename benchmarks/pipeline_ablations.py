@@ -37,7 +37,7 @@ from twohands.evaluation.summary import markdown_table
 from twohands.geometry.projection import Method, project_global
 from twohands.inference.budget import STUDIES
 from twohands.inference.engine import Networks, load_networks
-from twohands.inference.estimator import DOUBT, NO_TRUTH, SECOND_LOOK_IOU, HandEstimator, StageTruth
+from twohands.inference.estimator import DOUBT, NO_DOUBT, NO_TRUTH, SECOND_LOOK_IOU, HandEstimator, StageTruth
 from twohands.inference.ground_truth import HeatmapTargets, TruthfulEstimator
 from twohands.inference.smoothing_sweep import smoothing_sweep
 from twohands.inference.weights import DEFAULT_PRESET, WeightsCard, preset_folder, weights_id
@@ -208,17 +208,16 @@ class OtherSolver(HandEstimator):
         return project_global(canonical, joints_px, camera, lengths_m, method=self._method)
 
 
-def looking_again(networks: Networks, card: WeightsCard, below: float) -> HandEstimator:
-    """A pipeline that looks again at hands whose two boxes overlap less."""
+def looking(
+    networks: Networks,
+    card: WeightsCard,
+    *,
+    second_look_iou: float = SECOND_LOOK_IOU,
+    doubt: tuple[float, float] = DOUBT,
+) -> HandEstimator:
+    """A pipeline that looks twice by other rules (`inference.estimator`)."""
     estimator = HandEstimator(networks, card)
-    estimator.second_look_iou = below
-    return estimator
-
-
-def doubting(networks: Networks, card: WeightsCard, doubt: tuple[float, float]) -> HandEstimator:
-    """A pipeline that looks at the mirror image too where the score of a hand lies in between."""
-    estimator = HandEstimator(networks, card)
-    estimator.doubt = doubt
+    estimator.second_look_iou, estimator.doubt = second_look_iou, doubt
     return estimator
 
 
@@ -265,18 +264,18 @@ def ablations(complete: TruthfulEstimator, floating: Networks | None) -> list[Ab
             "Second look",
             "Ours: PoseNet2D looks again where HandSegNet's box and that of the joints differ. The paper looks once.",
             {
-                "never": TruthfulEstimator(looking_again(networks, card, 0.0)),
+                "never": TruthfulEstimator(looking(networks, card, second_look_iou=0.0)),
                 f"overlap below {SECOND_LOOK_IOU:g}": complete,
-                "always": TruthfulEstimator(looking_again(networks, card, math.inf)),
+                "always": TruthfulEstimator(looking(networks, card, second_look_iou=math.inf)),
             },
         ),
         Ablation(
             "Mirror image",
             "Ours: in doubt, HandSegNet looks at the picture's mirror image too. The paper looks once.",
             {
-                "never": TruthfulEstimator(doubting(networks, card, (math.inf, -math.inf))),
+                "never": TruthfulEstimator(looking(networks, card, doubt=NO_DOUBT)),
                 f"a score between {DOUBT[0]:g} and {DOUBT[1]:g}": complete,
-                "always": TruthfulEstimator(doubting(networks, card, (-math.inf, math.inf))),
+                "always": TruthfulEstimator(looking(networks, card, doubt=(-math.inf, math.inf))),
             },
         ),
     ]

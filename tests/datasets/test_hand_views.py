@@ -4,15 +4,10 @@ import dataclasses
 
 import numpy as np
 import pytest
-from tests.builders import make_sample
+from tests.datasets.drawn import sample
 
 from twohands.datasets.hand_views import boxes_inside, hand_box, hand_classes
 from twohands.skeleton import LEFT, RIGHT
-from twohands.types import HandSample
-
-
-def sample(seed: int = 0, **options) -> HandSample:
-    return make_sample(np.random.default_rng(seed), **options)
 
 
 def test_hand_classes_put_the_arm_with_its_hand():

@@ -5,8 +5,7 @@ import dataclasses
 import cv2
 import numpy as np
 import pytest
-from tests.builders import make_sample
-from tests.datasets.mirrored import mirrored
+from tests.datasets.drawn import mirrored, sample
 
 from twohands.datasets import pose_targets
 from twohands.datasets.hand_views import hand_box, hand_classes
@@ -15,14 +14,9 @@ from twohands.datasets.transforms import MaskConfig, PhotometricConfig
 from twohands.errors import InputError
 from twohands.geometry.boxes import apply_homography
 from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
-from twohands.types import HandSample
 
 PAPER_CROP = CropConfig()
 OUR_CROP = CropConfig("perspective")
-
-
-def sample(seed: int = 0, **options) -> HandSample:
-    return make_sample(np.random.default_rng(seed), **options)
 
 
 def target(*args, **options) -> PoseTarget:

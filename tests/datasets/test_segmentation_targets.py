@@ -4,8 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from tests.builders import make_sample
-from tests.datasets.mirrored import mirrored
+from tests.datasets.drawn import mirrored, sample
 
 from twohands.datasets.hand_views import hand_box, hand_classes
 from twohands.datasets.segmentation_targets import NARROWEST, ZoomConfig, segmentation_target
@@ -14,11 +13,6 @@ from twohands.errors import DataFormatError, InputError
 from twohands.geometry.boxes import box_iou
 from twohands.geometry.segmentation import LETTERBOX_GREY, letterbox
 from twohands.skeleton import LEFT, RIGHT
-from twohands.types import HandSample
-
-
-def sample(seed: int = 0, **options) -> HandSample:
-    return make_sample(np.random.default_rng(seed), **options)
 
 
 def test_segmentation_target_scales_labels_and_boxes():

@@ -136,7 +136,7 @@ def test_looks_at_a_picture(tmp_path):
     networks, sample = dataclasses.replace(shipped.networks, pose_net_2d=pose_net_2d), make_samples(1)[0]
     for below, expected in ((0.0, [2]), (math.inf, [2, 2])):
         looks.clear()
-        pa.looking_again(networks, shipped.card, below).estimate(sample.image, sample.camera)
+        pa.looking(networks, shipped.card, second_look_iou=below).estimate(sample.image, sample.camera)
         assert looks == expected
 
 
@@ -151,7 +151,7 @@ def test_looks_at_the_mirror_image(tmp_path):
     networks, sample = dataclasses.replace(shipped.networks, hand_seg_net=hand_seg_net), make_samples(1)[0]
     for doubt, looks in (((math.inf, -math.inf), 1), ((-math.inf, math.inf), 2)):
         seen.clear()
-        pa.doubting(networks, shipped.card, doubt).estimate(sample.image, sample.camera)
+        pa.looking(networks, shipped.card, doubt=doubt).estimate(sample.image, sample.camera)
         assert len(seen) == looks
     np.testing.assert_array_equal(seen[1], seen[0][..., ::-1])
 

@@ -133,13 +133,13 @@ def open_segmentation(checkpoint: Path) -> Segment:
         CheckpointError: missing, damaged, or of another network.
     """
     from twohands.datasets.pose_targets import Segmentation
-    from twohands.inference.estimator import HandEstimator
+    from twohands.inference.estimator import NO_DOUBT, HandEstimator
     from twohands.training.batches import Segmenter
 
     if checkpoint.name != "hand_seg_net.onnx" or not (checkpoint.parent / "card.json").is_file():
         return Segmenter(checkpoint)
     estimator = HandEstimator.from_preset(checkpoint.parent, threads=1)
-    estimator.doubt = (1.0, 1.0)  # a single look, like `Segmenter`: the time is the training's
+    estimator.doubt = NO_DOUBT  # like `Segmenter`: the time is the training's
 
     def segment(images: Sequence[np.ndarray]) -> list[Segmentation]:
         found = [estimator.segment(image) for image in images]

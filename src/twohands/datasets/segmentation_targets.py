@@ -96,13 +96,12 @@ def segmentation_target(
     image, place = letterbox(image, (height, width))
     scale = np.array([place.width * width / full_width, place.height * height / full_height])
     corner = np.array([place.left * width, place.top * height])
-    cols, rows = (
-        np.floor((np.arange(size) + 0.5 - corner[axis]) / scale[axis]).astype(int)
-        for axis, size in enumerate((width, height))
+    classes = np.full((height, width), OUTSIDE, np.uint8)
+    shown = place.content(classes)
+    rows, cols = (
+        ((np.arange(n) + 0.5) * full / n).astype(int) for n, full in zip(shown.shape, labels.shape, strict=True)
     )
-    inside = ((rows >= 0) & (rows < full_height))[:, None] & (cols >= 0) & (cols < full_width)
-    part = labels[np.ix_(np.clip(rows, 0, full_height - 1), np.clip(cols, 0, full_width - 1))]
-    classes = np.where(inside, hand_classes(part), np.uint8(OUTSIDE))
+    shown[:] = hand_classes(labels[np.ix_(rows, cols)])
     points = points * scale + corner
     if rng is not None:
         if zoom is not None:
@@ -121,10 +120,9 @@ def _cut(image, labels, points, rng: np.random.Generator):
     height, full_width = labels.shape
     narrowest = min(NARROWEST, full_width / height)
     width = min(round(height * np.exp(rng.uniform(np.log(narrowest), np.log(full_width / height)))), full_width)
-    boxes, present = boxes_inside(points, full_width, height)
-    centre = rng.uniform(0, full_width)
-    if present.any():
-        centre = boxes[rng.choice(np.flatnonzero(present))][[0, 2]].mean()
+    anywhere = rng.uniform(0, full_width)
+    box = _one_box(points, full_width, height, rng)
+    centre = anywhere if box is None else box[[0, 2]].mean()
     left = int(np.clip(centre - width * rng.uniform(0.25, 0.75), 0, full_width - width))
     points = points - [left, 0]
     _, present = boxes_inside(points, width, height)
@@ -161,14 +159,19 @@ def _zoomed(image, classes, points, config: ZoomConfig, rng: np.random.Generator
     return image, classes, points
 
 
+def _one_box(points, width: int, height: int, rng: np.random.Generator) -> np.ndarray | None:
+    """Box (4,) of one of the hands in the picture; None if there is none."""
+    boxes, present = boxes_inside(points, width, height)
+    return boxes[rng.choice(np.flatnonzero(present))] if present.any() else None
+
+
 def _close_up(points, width: int, height: int, rng: np.random.Generator) -> tuple[np.ndarray, float]:
     """Centre and scale of a part of the picture, at most the whole, in which one of the hands is near and its box
     inside; the whole where there is no hand."""
     corner = np.array([width, height], np.float64)
-    boxes, present = boxes_inside(points, width, height)
-    if not present.any():
+    box = _one_box(points, width, height, rng)
+    if box is None:
         return corner / 2, 1.0
-    box = boxes[rng.choice(np.flatnonzero(present))]
     larger = max(box[2:] - box[:2])
     scale = float(np.clip(np.exp(rng.uniform(*np.log(CLOSE))) * height / larger, 1, LARGEST_ZOOM))
     half = corner / 2 / scale

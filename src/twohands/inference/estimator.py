@@ -51,6 +51,8 @@ Ours. It concerns three of ten pictures of preset paper and most of preset wild.
 `inference.sides` chosen for either, presence before a webcam was right for 93.5 instead of 90.5 % of the hands; two
 looks at all pictures bring a little more, and cost twice as much.
 """
+NO_DOUBT = (1.0, 1.0)
+"""For `HandEstimator.doubt`: a single look at every picture."""
 SMALLEST_BOX_PX = 8.0
 METHOD = "all-joints"
 
@@ -204,32 +206,31 @@ class HandEstimator:
         size = image.shape[:2]
         masks, boxes = truth.masks, _true_boxes(truth)
         if masks is None or boxes is None:
-            seg_logits, energies = self.hand_maps(image)
+            seg_logits, energies, scores = self.hand_maps(image)
             if boxes is None:
-                scores = hand_scores(energies, seg_logits)
                 boxes = boxes_from_energy(energies, size, scores, truth.present, self.threshold)
             if masks is None:
                 masks = masks_from_logits(seg_logits, size, boxes.present)
         return masks, boxes
 
-    def hand_maps(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """HandSegNet: seg_logits (3, h, w) and energies (2, h, w), 0..1, over the whole picture and nothing else; the
-        mean of two looks in doubt (`DOUBT`)."""
+    def hand_maps(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """HandSegNet: seg_logits (3, h, w) and energies (2, h, w), 0..1, over the whole picture and nothing else, and
+        `hand_scores` (2,) of them; from the mean of two looks in doubt (`DOUBT`)."""
         canvas, place = letterbox(image, self.card.seg_input_size)
 
         def look(pictures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             seg_logits, energy_logits = self.networks.hand_seg_net(network_input(pictures))
             return seg_logits[0], energy_logits[0]
 
-        def content(maps: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-            return place.content(maps[0]), 1.0 / (1.0 + np.exp(-place.content(maps[1])))
+        def scored(maps: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            seg_logits, energies = place.content(maps[0]), 1.0 / (1.0 + np.exp(-place.content(maps[1])))
+            return seg_logits, energies, hand_scores(energies, seg_logits)
 
         maps = look(canvas[None])
-        seg_logits, energies = content(maps)
-        scores = hand_scores(energies, seg_logits)
+        seg_logits, energies, scores = scored(maps)
         if ((scores > self.doubt[0]) & (scores < self.doubt[1])).any():
-            return content(mean_of_mirrored(maps, look(canvas[None, :, ::-1])))
-        return seg_logits, energies
+            return scored(mean_of_mirrored(maps, look(canvas[None, :, ::-1])))
+        return seg_logits, energies, scores
 
     def find_joints(
         self,

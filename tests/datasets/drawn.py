@@ -1,10 +1,16 @@
-"""A labelled picture in a mirror."""
+"""Labelled pictures of drawn hands, and their mirror images."""
 
 import dataclasses
 
 import numpy as np
+from tests.builders import make_sample
 
 from twohands.types import HandSample
+
+
+def sample(seed: int = 0, **options) -> HandSample:
+    """A drawn picture; options as `make_sample`."""
+    return make_sample(np.random.default_rng(seed), **options)
 
 
 def mirrored(original: HandSample) -> HandSample:
