@@ -17,7 +17,7 @@ from twohands.models.pose_net_2d import PoseNet2D, PoseNet2DConfig
 from twohands.models.presets import build_network
 
 NAMES = ("hand_seg_net", "pose_net_2d", "pose_net_3d")
-SHAPES = {"hand_seg_net": (3, 64, 96), "pose_net_2d": (3, 128, 128), "pose_net_3d": (21, 32, 32)}
+SHAPES = {"hand_seg_net": (3, 64, 96), "pose_net_2d": (3, 128, 128), "pose_net_3d": (24, 32, 32)}
 OUTPUTS = {
     "hand_seg_net": ["seg_logits", "energy_logits"],
     "pose_net_2d": ["heatmaps", "hand_logit"],
@@ -146,6 +146,7 @@ def test_inference_understands_the_preset(preset):
     assert card.name == "mini"
     assert tuple(card.seg_input_size) == (64, 96)
     assert (card.crop_size, card.crop_kind, card.crop_margin) == (128, "perspective", 1.4)
+    assert card.judge and card.cues == 3
     assert card.heatmap_decode == "softargmax"
     assert written == json.loads((folder / "card.json").read_text())
     assert written["hardware"] == "2 cores" and written["training"]["hand_seg_net"]["seed"] == 4

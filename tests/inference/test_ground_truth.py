@@ -87,6 +87,20 @@ def test_true_heatmaps_belong_to_the_pipelines_crops() -> None:
         np.testing.assert_allclose(hand.joints_px, sample.joints_px[side], atol=0.2)
 
 
+def test_no_cues_come_with_true_heatmaps() -> None:
+    """PoseNet3D is given as many maps as it expects, those behind the joints' empty."""
+    seen = []
+
+    def pose_net_3d(maps):
+        seen.append(maps)
+        return np.zeros((len(maps), 21, 3))
+
+    networks = replace(UNUSED, pose_net_3d=pose_net_3d)
+    estimator = HandEstimator(networks, replace(make_card(), cues=4))
+    TruthfulEstimator(estimator, ("masks", "boxes", "heatmaps"))(drawn_hands(2))
+    assert seen[0].shape[1] == 25 and not seen[0][:, 21:].any() and seen[0][:, :21].any(axis=(2, 3)).all()
+
+
 def drawn_budget(count: int = 2, scale: float = 1.0):
     """PoseNet2D always says the same; PoseNet3D knows the answer and scales it."""
     samples = [replace(drawn_hands(seed), source=str(seed)) for seed in range(count)]

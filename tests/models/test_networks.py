@@ -13,7 +13,7 @@ from twohands.models.encoder_decoder import EncoderDecoder
 from twohands.models.hand_seg_net import HandSegNet, HandSegNetConfig
 from twohands.models.pose_net_2d import PoseNet2D, PoseNet2DConfig
 from twohands.models.pose_net_3d import PoseNet3D, PoseNet3DConfig
-from twohands.models.presets import PAPER, SLIM, build_network, config_from_dict
+from twohands.models.presets import PAPER, SLIM, NetworkConfigs, build_network, config_from_dict
 from twohands.skeleton import ROOT
 
 TINY_SEG = HandSegNetConfig(height=64, width_px=96, width=0.125)
@@ -135,6 +135,27 @@ def test_only_a_judge_judges_and_its_maps_are_those_of_a_network_without():
     assert torch.equal(maps[-1], plain(x)[-1]) and torch.equal(maps[-1], judge(x)[-1])
 
 
+def test_cues_pass_the_read_out_and_start_unheard():
+    """They lie behind the joints' maps, as they left the network; a fresh PoseNet3D answers as if there were none."""
+    torch.manual_seed(0)
+    net = PoseNet2D(dataclasses.replace(TINY_2D, cues=4)).eval()
+    outputs = net(torch.rand(3, 3, 128, 128))
+    maps = net.heatmaps(outputs)
+    assert maps.shape == (3, 25, 32, 32)
+    assert torch.equal(maps[:, 21:], outputs[-1][:, 21:])
+    assert torch.equal(maps[:, :21], PoseNet2D(TINY_2D).heatmaps([outputs[-1][:, :21]]))
+    lifting = PoseNet3D(PoseNet3DConfig(width=0.125, cues=4)).eval()
+    silent = maps.clone()
+    silent[:, 21:] = 0
+    assert torch.equal(lifting(maps), lifting(silent))
+    assert not torch.allclose(lifting(maps), lifting(maps.flip(1)))
+
+
+def test_both_pose_networks_have_the_same_cues():
+    with pytest.raises(InputError, match="gives 4 cues, but pose_net_3d takes 0"):
+        NetworkConfigs(pose_net_2d=dataclasses.replace(TINY_2D, cues=4))
+
+
 def test_softmax_heatmaps_of_a_gaussian_have_peak_1_at_z_0_and_2_to_the_z_elsewhere():
     net = PoseNet2D(TINY_2D)
     cells = torch.arange(32) + 0.5
@@ -175,6 +196,8 @@ def test_the_presets_can_be_built():
         (PoseNet2DConfig, {"variant": "encoder-decoder", "crop_size": 128, "stages": 2}, "2"),
         (PoseNet2DConfig, {"activation": "relu"}, "relu"),
         (PoseNet2DConfig, {"judge": True}, "cpm9"),
+        (PoseNet2DConfig, {"cues": 8}, "cpm9 cannot give 8"),
+        (PoseNet3DConfig, {"cues": -1}, "-1"),
         (PoseNet2DConfig, {"sigma": math.nan}, "nan"),
         (PoseNet3DConfig, {"width": 0.0}, "0.0"),
     ],

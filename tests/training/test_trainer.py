@@ -14,6 +14,7 @@ from twohands.errors import CheckpointError, InputError
 from twohands.models.checkpoint import load_network, load_tensors, read_note, same_weights, save_network
 from twohands.models.pose_net_2d import PoseNet2D
 from twohands.models.presets import build_network
+from twohands.training.batches import BatchDataset
 from twohands.training.config import OptimConfig, TrainConfig
 from twohands.training.stages import build_stage
 from twohands.training.trainer import build_optimizer, train
@@ -232,9 +233,39 @@ def test_weights_without_a_judge_can_be_taught_to_judge(tmp_path):
         build_stage(dataclasses.replace(config, networks=networks), [tmp_path / "old.safetensors"])
 
 
-def test_ideal_maps_replace_half_of_the_hands_at_first(tmp_path):
-    from twohands.training.batches import BatchDataset
+def test_weights_without_cues_go_on_with_the_same_answers(tmp_path):
+    """The weights shipped until November 2026 had none."""
+    config = tiny_run("pose_net_3d")
+    shapes = config.networks
+    torch.manual_seed(3)
+    for name in ("pose_net_2d", "pose_net_3d"):
+        old = build_network(name, dataclasses.replace(getattr(shapes, name), cues=0))
+        save_network(name, old, tmp_path / f"{name}.safetensors")
+    stage = build_stage(config, [tmp_path / "pose_net_2d.safetensors", tmp_path / "pose_net_3d.safetensors"]).eval()
+    old_2d = load_network("pose_net_2d", tmp_path / "pose_net_2d.safetensors")
+    old_3d = load_network("pose_net_3d", tmp_path / "pose_net_3d.safetensors")
+    crops = torch.rand(2, 3, 128, 128) - 0.5
+    maps, old_maps = (net.heatmaps(net(crops)) for net in (stage.net_2d, old_2d))
+    torch.testing.assert_close(maps[:, :21], old_maps)
+    torch.testing.assert_close(stage.net_3d(maps), old_3d(old_maps))
 
+
+def test_cues_are_learnt_and_a_tenth_of_the_hands_does_without(tmp_path):
+    config = tiny_run("pose_net_3d", batch_images=6)
+    stage = build_stage(config, pose_weights(tmp_path)).train()
+    seen: list[torch.Tensor] = []
+    stage.net_3d.register_forward_pre_hook(lambda _, inputs: seen.append(inputs[0].detach()))
+    lots = []
+    for step in range(12):
+        batch = BatchDataset(SAMPLES, config)[step]
+        sum(stage(batch, step).values()).backward()
+        lots.append(batch["lot"])
+    silent = torch.cat([(maps[:, 21:] == 0).flatten(1).all(dim=1) for maps in seen])
+    assert torch.equal(silent, torch.cat(lots) >= 0.9) and 0 < silent.float().mean() < 0.3
+    assert stage.net_3d.features[0][0].weight.grad[:, 21:].abs().max() > 0
+
+
+def test_ideal_maps_replace_half_of_the_hands_at_first(tmp_path):
     config = dataclasses.replace(tiny_run("pose_net_3d"), truth_maps=5, batch_images=6)
     lots = torch.cat([BatchDataset(SAMPLES, config)[step]["lot"] for step in range(40)])
     assert 0.4 < (lots < 0.5).float().mean() < 0.6

@@ -11,9 +11,9 @@ from twohands.training.config import AugmentConfig, StageName, TrainConfig, reci
 NETWORKS = NetworkConfigs(
     HandSegNetConfig("encoder-decoder", height=64, width_px=96, width=0.5),
     PoseNet2DConfig(
-        "encoder-decoder", crop_size=128, stages=1, width=0.25, activation="softmax", sigma=1.5, judge=True
+        "encoder-decoder", crop_size=128, stages=1, width=0.25, activation="softmax", sigma=1.5, judge=True, cues=3
     ),
-    PoseNet3DConfig(width=0.125, fc_relu=True),
+    PoseNet3DConfig(width=0.125, fc_relu=True, cues=3),
 )
 
 

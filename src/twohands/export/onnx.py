@@ -40,7 +40,7 @@ class HeatmapNet(nn.Module):
         self.net = net
 
     def forward(self, x: Tensor) -> tuple[Tensor, ...]:
-        """(B, 3, S, S) -> heatmaps (B, 21, 32, 32) and perhaps (B, 1) log-odds."""
+        """(B, 3, S, S) -> heatmaps (B, 21 + cues, 32, 32) and perhaps (B, 1) log-odds."""
         outputs, hand_logit = self.net.judged(x)
         heatmaps = self.net.heatmaps(outputs)
         return (heatmaps,) if hand_logit is None else (heatmaps, hand_logit)
@@ -70,7 +70,7 @@ def export_network(network: nn.Module, path: str | Path, note: Mapping[str, Any]
         name, model, inputs, outputs = "pose_net_2d", HeatmapNet(network), "crop", ["heatmaps"]
         outputs += ["hand_logit"] if network.judge is not None else []
     elif isinstance(network, PoseNet3D):
-        shape = (2, N_JOINTS, MAP_SIZE, MAP_SIZE)
+        shape = (2, N_JOINTS + network.config.cues, MAP_SIZE, MAP_SIZE)
         name, model, inputs, outputs = "pose_net_3d", network, "heatmaps", ["canonical"]
     else:
         raise InputError(f"cannot export a {type(network).__name__}")

@@ -31,7 +31,7 @@ from twohands.inference.engine import Networks, load_networks
 from twohands.inference.read_out import read_joints
 from twohands.inference.sides import CANDIDATE_THRESHOLD, TURN_BELOW, assign_sides, corrected_masks, in_one_place
 from twohands.inference.weights import DEFAULT_PRESET, WeightsCard, preset_folder, read_card
-from twohands.skeleton import RIGHT
+from twohands.skeleton import N_JOINTS, RIGHT
 from twohands.types import GlobalPose, HandCrop, HandPose, PinholeCamera, TwoHandPose
 
 DEFAULT_HAND_LENGTH_M = 0.10
@@ -66,7 +66,7 @@ class StageTruth:
         boxes_px: (2, 4) tight boxes in pixels; NaN for an absent hand.
         present: (2,) bool. A present hand still needs a box, true or estimated, to be found.
         joints_px: (2, 21, 2) pixels.
-        heatmaps: (2, 21, M, M) maps of the crops that the pipeline cuts from its boxes.
+        heatmaps: (2, 21, M, M) maps of the crops that the pipeline cuts from its boxes; no cues come with them.
         canonical: (2, 21, 3) unitless canonical joints of the real, unmirrored hands.
     """
 
@@ -87,7 +87,7 @@ class Look:
 
     Attributes:
         crops: B of them.
-        heatmaps: (B, 21, M, M).
+        heatmaps: (B, 21 + cues, M, M).
         joints_px: (B, 21, 2) pixels of the picture.
         joint_scores: (B, 21) 0..1.
         hand_logits: (B,) log-odds that a crop shows a hand of its side.
@@ -332,16 +332,18 @@ class HandEstimator:
         return HandCrop(composed, image_from_crop, side, mirrored=side == RIGHT)
 
     def locate(self, crops: list[HandCrop], truth: StageTruth = NO_TRUTH) -> tuple[np.ndarray, np.ndarray]:
-        """Stage 3, PoseNet2D: both hands in one batch -> heatmaps (B, 21, M, M), log-odds (B,) that they are hands."""
+        """Stage 3, PoseNet2D: both hands in one batch -> heatmaps (B, 21 + cues, M, M), log-odds (B,) that they are
+        hands."""
         if truth.heatmaps is not None:
-            return truth.heatmaps[[crop.side for crop in crops]], np.zeros(len(crops))
+            maps = truth.heatmaps[[crop.side for crop in crops]]
+            return np.pad(maps, ((0, 0), (0, self.card.cues), (0, 0), (0, 0))), np.zeros(len(crops))
         return self.networks.pose_net_2d(network_input(np.stack([crop.image for crop in crops])))
 
     def read_out(
         self, heatmaps: np.ndarray, crops: list[HandCrop], truth: StageTruth = NO_TRUTH
     ) -> tuple[np.ndarray, np.ndarray]:
         """Heatmaps -> joints (B, 21, 2) in pixels of the picture, un-mirrored, and scores (B, 21), 1 for labels."""
-        cells, scores = read_joints(heatmaps, self.card.heatmap_decode)
+        cells, scores = read_joints(heatmaps[:, :N_JOINTS], self.card.heatmap_decode)
         crop_px = cells * (self.card.crop_size / heatmaps.shape[-1])
         joints_px = apply_homography(np.stack([crop.image_from_crop for crop in crops]), crop_px)
         if truth.joints_px is not None:

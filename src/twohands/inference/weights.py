@@ -3,9 +3,9 @@
 A preset is a folder::
 
     <preset>/hand_seg_net.onnx   (B, 3, h, w) -> seg_logits (B, 3, h', w'), energy_logits (B, 2, h', w')
-             pose_net_2d.onnx    (B, 3, S, S) -> heatmaps (B, 21, M, M), as the third network takes them; if it judges
-                                 its crops, also hand_logit (B, 1)
-             pose_net_3d.onnx    (B, 21, M, M) -> canonical (B, 21, 3), left-like hand
+             pose_net_2d.onnx    (B, 3, S, S) -> heatmaps (B, 21 + cues, M, M), as the third network takes them; if it
+                                 judges its crops, also hand_logit (B, 1)
+             pose_net_3d.onnx    (B, 21 + cues, M, M) -> canonical (B, 21, 3), left-like hand
              card.json
 
 The card holds what inference must know; every other key (recipe, seed, accuracy, ...) is for the reader::
@@ -52,6 +52,7 @@ class WeightsCard:
         heatmap_decode: "subpixel" for maps with linear output, "softargmax" for probability maps.
         background: brightness of the background in the crop, 0..1; 0 where the card does not say.
         judge: whether PoseNet2D also says if its crops show hands.
+        cues: number of maps that PoseNet2D gives beside those of the joints, for PoseNet3D.
         int8: networks that run in 8 bits -> name of every ReLU -> largest value after it (`inference.int8`).
     """
 
@@ -63,6 +64,7 @@ class WeightsCard:
     heatmap_decode: str
     background: float = 0.0
     judge: bool = False
+    cues: int = 0
     int8: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -76,6 +78,8 @@ class WeightsCard:
             raise CheckpointError(f"card: pose_net_2d.crop_margin must be positive, got {self.crop_margin}")
         if not 0 <= self.background <= 1:
             raise CheckpointError(f"card: pose_net_2d.background must lie in 0..1, got {self.background}")
+        if self.cues < 0:
+            raise CheckpointError(f"card: pose_net_2d.cues must not be negative, got {self.cues}")
         if self.heatmap_decode not in HEATMAP_DECODERS:
             raise CheckpointError(
                 f"card: pose_net_2d.heatmap_decode must be one of {HEATMAP_DECODERS}, got {self.heatmap_decode!r}"
@@ -103,6 +107,7 @@ class WeightsCard:
                 heatmap_decode=str(pose["heatmap_decode"]),
                 background=float(pose.get("background", 0.0)),
                 judge=bool(pose.get("judge", False)),
+                cues=int(pose.get("cues", 0)),
                 int8=_peaks(card.get("int8", {})),
             )
         except KeyError as error:

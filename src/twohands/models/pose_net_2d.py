@@ -40,6 +40,8 @@ class PoseNet2DConfig:
     """Standard deviation of the target Gaussian at the root's depth, in cells."""
     judge: bool = False
     """Also say whether the crop shows a hand of the side it was cut for (ours, encoder-decoder only)."""
+    cues: int = 0
+    """Further maps, for PoseNet3D alone, that no label prescribes (ours, encoder-decoder only)."""
 
     def __post_init__(self) -> None:
         if self.variant not in ("cpm9", "vgg", "encoder-decoder"):
@@ -53,6 +55,8 @@ class PoseNet2DConfig:
             raise InputError(f"pose_net_2d: {self.variant} cannot have {self.stages} stages")
         if self.judge and self.variant != "encoder-decoder":
             raise InputError(f"pose_net_2d: {self.variant} cannot judge its crops")
+        if self.cues < 0 or (self.cues and self.variant != "encoder-decoder"):
+            raise InputError(f"pose_net_2d: {self.variant} cannot give {self.cues} cues")
         if not (self.width > 0 and self.sigma > 0):
             raise InputError(f"pose_net_2d: width and sigma must be positive, got {self.width} and {self.sigma}")
 
@@ -125,19 +129,22 @@ class PoseNet2D(nn.Module):
 
     The judgement is ours. HandSegNet sees a hand at a third of the crop's resolution; what looks like a hand to it may
     be an ear, or a right hand where it says left. The paper's only test is the energy's peak.
+
+    The cues are ours too. A heatmap says where a joint is and, by its spread, how deep; shading, foreshortening and what
+    covers what say more, and PoseNet3D never sees the crop. What the cues mean is found by training both together.
     """
 
     def __init__(self, config: PoseNet2DConfig) -> None:
         super().__init__()
         self.config = config
         slim = config.variant == "encoder-decoder"
-        self.net = EncoderDecoder(N_JOINTS, config.width) if slim else PoseMachine(config)
+        self.net = EncoderDecoder(N_JOINTS + config.cues, config.width) if slim else PoseMachine(config)
         self.judge = None
         if isinstance(self.net, EncoderDecoder) and config.judge:
             self.judge = nn.Sequential(nn.Linear(self.net.bottom_channels, 64), nn.ReLU(), nn.Linear(64, 1))
         initialise(self)
         for layer in self.modules():
-            if isinstance(layer, nn.Conv2d) and layer.out_channels == N_JOINTS:
+            if isinstance(layer, nn.Conv2d) and layer.out_channels == N_JOINTS + config.cues:
                 calm_output(layer)
         if self.judge is not None:
             calm_output(self.judge[-1])  # type: ignore[arg-type]
@@ -149,7 +156,7 @@ class PoseNet2D(nn.Module):
             x: (B, 3, S, S) normalised composed crop, (uint8 - 128) / 256, right hands mirrored.
 
         Returns:
-            List of (B, 21, 32, 32): map values ("linear") or logits ("softmax").
+            List of (B, 21 + cues, 32, 32): map values ("linear") or logits ("softmax"), then the cues.
         """
         return self.judged(x)[0]
 
@@ -170,11 +177,12 @@ class PoseNet2D(nn.Module):
         return [self.net.decode(encoded)], hand_logit
 
     def probabilities(self, maps: Tensor) -> Tensor:
-        """Softmax over the cells of each map, (B, 21, 32, 32), sum 1 per joint."""
+        """Softmax over the cells of each of the joints' maps, (B, 21, 32, 32), sum 1 per joint."""
         return maps.flatten(2).float().softmax(dim=2).view(maps.shape)
 
     def heatmaps(self, outputs: Sequence[Tensor]) -> Tensor:
-        """What PoseNet3D consumes: the last stage's maps, with a peak of about 1 for a joint at the root's depth.
+        """What PoseNet3D consumes: the last stage's maps, with a peak of about 1 for a joint at the root's depth, and
+        the cues as they are.
 
         Softmax maps are probabilities times 2 pi sigma^2, the peak's inverse for the target Gaussian at z = 0.
 
@@ -182,8 +190,10 @@ class PoseNet2D(nn.Module):
             outputs: result of `forward`.
 
         Returns:
-            (B, 21, 32, 32).
+            (B, 21 + cues, 32, 32).
         """
         if self.config.activation == "linear":
             return outputs[-1]
-        return self.probabilities(outputs[-1]) * (2 * math.pi * self.config.sigma**2)
+        maps, cues = outputs[-1][:, :N_JOINTS], outputs[-1][:, N_JOINTS:]
+        maps = self.probabilities(maps) * (2 * math.pi * self.config.sigma**2)
+        return torch.cat([maps, cues.float()], dim=1) if self.config.cues else maps

@@ -20,10 +20,14 @@ class PoseNet3DConfig:
     """Multiplier of all channel numbers; 1 is the paper's size."""
     fc_relu: bool = False
     """ReLU between the fully connected layers; the authors' later code has none."""
+    cues: int = 0
+    """Maps beside those of the joints (ours), see `PoseNet2DConfig.cues`."""
 
     def __post_init__(self) -> None:
         if not self.width > 0:
             raise InputError(f"pose_net_3d: width must be positive, got {self.width}")
+        if self.cues < 0:
+            raise InputError(f"pose_net_3d: cues must not be negative, got {self.cues}")
 
 
 class PoseNet3D(nn.Module):
@@ -36,10 +40,8 @@ class PoseNet3D(nn.Module):
         super().__init__()
         self.config = config
         sizes = [scaled(c, config.width) for c in (64, 128, 256, 512)]
-        layers: list[nn.Module] = [
-            conv_bn_relu(N_JOINTS, sizes[0], 7, stride=2),
-            nn.MaxPool2d(3, stride=2, padding=1),
-        ]
+        first = conv_bn_relu(N_JOINTS + config.cues, sizes[0], 7, stride=2)
+        layers: list[nn.Module] = [first, nn.MaxPool2d(3, stride=2, padding=1)]
         channels = sizes[0]
         for size, stride in zip(sizes, (1, 2, 2, 2), strict=True):
             layers += [BasicBlock(channels, size, stride), BasicBlock(size, size)]
@@ -52,18 +54,19 @@ class PoseNet3D(nn.Module):
         )
         initialise(self)
         calm_output(output)
+        nn.init.zeros_(first[0].weight[:, N_JOINTS:])  # type: ignore[index]  # cues mean nothing yet
 
     def forward(self, heatmaps: Tensor) -> Tensor:
         """Canonical pose of a left-like hand.
 
         Args:
-            heatmaps: (B, 21, 32, 32), see `PoseNet2D.heatmaps`.
+            heatmaps: (B, 21 + cues, 32, 32), see `PoseNet2D.heatmaps`.
 
         Returns:
             (B, 21, 3) canonical joints, x right, y down, z forward, unit = hand length. The output is shifted so
             that the root is exactly 0, as the canonical frame demands; the layer itself is free.
         """
-        x = functional.interpolate(heatmaps, scale_factor=2.0, mode="bilinear", align_corners=False)  # (B, 21, 64, 64)
+        x = functional.interpolate(heatmaps, scale_factor=2.0, mode="bilinear", align_corners=False)  # (B, 21 + cues, 64, 64)
         x = self.features(x).mean(dim=(2, 3))  # (B, C)
         joints = self.regressor(x).reshape(-1, N_JOINTS, 3)
         return joints - joints[:, ROOT : ROOT + 1]

@@ -40,6 +40,12 @@ class NetworkConfigs:
     pose_net_2d: PoseNet2DConfig = field(default_factory=PoseNet2DConfig)
     pose_net_3d: PoseNet3DConfig = field(default_factory=PoseNet3DConfig)
 
+    def __post_init__(self) -> None:
+        if self.pose_net_2d.cues != self.pose_net_3d.cues:
+            raise InputError(
+                f"pose_net_2d gives {self.pose_net_2d.cues} cues, but pose_net_3d takes {self.pose_net_3d.cues}"
+            )
+
 
 PAPER = NetworkConfigs()
 """The paper's networks (SPEC 2, 3, 4)."""
@@ -47,9 +53,9 @@ PAPER = NetworkConfigs()
 SLIM = NetworkConfigs(
     HandSegNetConfig("encoder-decoder", height=192, width_px=352),
     PoseNet2DConfig(
-        "encoder-decoder", crop_size=128, stages=1, width=1.25, activation="softmax", sigma=1.5, judge=True
+        "encoder-decoder", crop_size=128, stages=1, width=1.25, activation="softmax", sigma=1.5, judge=True, cues=8
     ),
-    PoseNet3DConfig(width=0.5, fc_relu=True),
+    PoseNet3DConfig(width=0.5, fc_relu=True, cues=8),
 )
 """Ours: small enough to learn and to run on two CPU cores."""
 

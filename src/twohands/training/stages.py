@@ -10,6 +10,7 @@ from typing import Any, cast
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
 from twohands.errors import InputError
 from twohands.geometry.boxes import apply_homography
@@ -17,12 +18,15 @@ from twohands.geometry.heatmaps import decode_softargmax, decode_subpixel, encod
 from twohands.models.checkpoint import load_network, network_name
 from twohands.models.hand_seg_net import HandSegNet, HandSegNetConfig
 from twohands.models.pose_net_2d import MAP_SIZE, PoseNet2D, PoseNet2DConfig
-from twohands.models.pose_net_3d import PoseNet3D
+from twohands.models.pose_net_3d import PoseNet3D, PoseNet3DConfig
+from twohands.skeleton import N_JOINTS
 from twohands.training import losses
 from twohands.training.batches import Batch
 from twohands.training.config import TrainConfig
 
 Losses = dict[str, Tensor]
+CUELESS = 0.1
+"""Share of the hands whose cues are kept from PoseNet3D, so that it can also answer from joints alone."""
 
 
 def normalised(image: Tensor) -> Tensor:
@@ -100,6 +104,7 @@ def heatmap_targets(batch: Batch, config: TrainConfig) -> Tensor:
 def heatmap_losses(net: PoseNet2D, outputs: Sequence[Tensor], batch: Batch, config: TrainConfig) -> Losses:
     """PoseNet2D's losses: the paper's mean squared error, or cross-entropy plus L1 on the soft-argmax."""
     target, weight = heatmap_targets(batch, config), batch["weight"]
+    outputs = [maps[:, :N_JOINTS] for maps in outputs]
     if config.loss.heatmap == "mse":
         return {"heatmap": losses.heatmap_mse(outputs, target, weight, config.loss.reduction)}
     cells = batch["joints_px"] * (MAP_SIZE / net.config.crop_size)
@@ -121,7 +126,12 @@ def judge_losses(hand_logit: Tensor | None, batch: Batch, config: TrainConfig) -
 def read_out(net: PoseNet2D, heatmaps: Tensor) -> Tensor:
     """Joints (N, 21, 2) in crop pixels from `PoseNet2D.heatmaps`, read as the maps were trained."""
     decode = decode_softargmax if net.config.activation == "softmax" else decode_subpixel
-    return decode(heatmaps.detach().float())[0] * (net.config.crop_size / MAP_SIZE)
+    return decode(heatmaps[:, :N_JOINTS].detach().float())[0] * (net.config.crop_size / MAP_SIZE)
+
+
+def without_cues(heatmaps: Tensor) -> Tensor:
+    """`PoseNet2D.heatmaps` with cues of 0."""
+    return torch.cat([heatmaps[:, :N_JOINTS], torch.zeros_like(heatmaps[:, N_JOINTS:])], dim=1)
 
 
 class _Errors2D:
@@ -223,6 +233,9 @@ class Pose3DStage(Stage):
         if iteration < self.config.truth_maps:
             half = (batch["lot"] < 0.5)[:, None, None, None]
             maps = torch.where(half, self._ideal_maps(batch), maps.float())
+        if self.net_3d.config.cues:
+            deaf = (batch["lot"] >= 1 - CUELESS)[:, None, None, None]
+            maps = torch.where(deaf, without_cues(maps), maps)
         predicted = self.net_3d(maps).float()
 
         truth, weight = batch["canonical"], batch["canonical_weight"]
@@ -245,7 +258,7 @@ class Pose3DStage(Stage):
         if self.net_2d.config.activation == "softmax":
             mass = maps.sum(dim=(2, 3), keepdim=True).clamp_min(1e-12)
             maps = maps / mass * (2 * torch.pi * self.net_2d.config.sigma**2)
-        return maps
+        return functional.pad(maps, (0, 0, 0, 0, 0, self.net_2d.config.cues))
 
     def validate(self, batches: Sequence[Batch]) -> dict[str, float]:
         """canonical_mean: mean joint distance in hand lengths; bone_mean: mean absolute bone length error in hand
@@ -312,7 +325,8 @@ def build_stage(config: TrainConfig, weights: Sequence[Path] = (), *, require_we
 def _fill(known: Mapping[str, nn.Module], path: Path) -> str:
     """Load a checkpoint into the network of a stage that it belongs to; returns that network's name.
 
-    PoseNet2D may come without a judge: the run's own stays fresh. HandSegNet may come from pictures of another size.
+    The pose networks may come without a judge and with fewer cues: the run's own stay fresh. HandSegNet may come from
+    pictures of another size.
     """
     found = network_name(path)
     name = (
@@ -322,7 +336,8 @@ def _fill(known: Mapping[str, nn.Module], path: Path) -> str:
     found, asked = cast(Any, loaded.config), cast(Any, wanted.config)
     if _with_free_settings(found, asked) != asked:
         raise InputError(f"{path}: {name} has the shape {found}, but this run asks for {asked}")
-    wanted.load_state_dict(wanted.state_dict() | loaded.state_dict())
+    fresh, given = wanted.state_dict(), loaded.state_dict()
+    wanted.load_state_dict(fresh | {key: _filled(fresh[key], values) for key, values in given.items()})
     return name
 
 
@@ -330,6 +345,15 @@ def _with_free_settings(found: Any, asked: Any) -> Any:
     """The configuration of a loaded network, with what may differ taken from the one that is asked for."""
     if isinstance(found, HandSegNetConfig) and isinstance(asked, HandSegNetConfig):
         return dataclasses.replace(found, height=asked.height, width_px=asked.width_px)
-    if isinstance(found, PoseNet2DConfig) and not found.judge and isinstance(asked, PoseNet2DConfig):
-        return dataclasses.replace(found, judge=asked.judge)
+    if isinstance(found, PoseNet2DConfig) and isinstance(asked, PoseNet2DConfig):
+        return dataclasses.replace(found, judge=found.judge or asked.judge, cues=max(found.cues, asked.cues))
+    if isinstance(found, PoseNet3DConfig) and isinstance(asked, PoseNet3DConfig):
+        return dataclasses.replace(found, cues=max(found.cues, asked.cues))
     return found
+
+
+def _filled(fresh: Tensor, given: Tensor) -> Tensor:
+    """`fresh` with what was learnt for fewer channels in front."""
+    filled = fresh.clone()
+    filled[tuple(slice(size) for size in given.shape)] = given
+    return filled
