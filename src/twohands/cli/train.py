@@ -132,18 +132,17 @@ def open_segmentation(checkpoint: Path) -> Segment:
     Raises:
         CheckpointError: missing, damaged, or of another network.
     """
-    from twohands.datasets.pose_targets import Segmentation
     from twohands.inference.estimator import NO_DOUBT, HandEstimator
-    from twohands.training.batches import Segmenter
+    from twohands.training.batches import Segmenter, segmentation_of
 
     if checkpoint.name != "hand_seg_net.onnx" or not (checkpoint.parent / "card.json").is_file():
         return Segmenter(checkpoint)
     estimator = HandEstimator.from_preset(checkpoint.parent, threads=1)
     estimator.doubt = NO_DOUBT  # like `Segmenter`: the time is the training's
 
-    def segment(images: Sequence[np.ndarray]) -> list[Segmentation]:
-        found = [estimator.segment(image) for image in images]
-        return [Segmentation(masks, boxes.boxes_px) for masks, boxes in found]
+    def segment(images: Sequence[np.ndarray], present: Sequence[np.ndarray]) -> list[Segmentation]:
+        pictures = zip(images, present, strict=True)
+        return [segmentation_of(*estimator.hand_maps(image), image.shape[:2], here) for image, here in pictures]
 
     return segment
 

@@ -213,7 +213,7 @@ def boxes_from_energy(
     image_size: tuple[int, int],
     scores: np.ndarray,
     present: np.ndarray | None = None,
-    threshold: float = PRESENCE_THRESHOLD,
+    threshold: float | np.ndarray = PRESENCE_THRESHOLD,
 ) -> HandBoxes:
     """Find both hands.
 
@@ -222,7 +222,7 @@ def boxes_from_energy(
         image_size: (H, W) of the picture.
         scores: (2,) as `hand_scores` gives them.
         present: (2,) bool, the known answer; None to decide by `threshold`.
-        threshold: smallest score of a hand.
+        threshold: smallest score of a hand, or (2,) of either.
 
     Returns:
         Boxes in pixels of the picture. A hand is absent where its score is below `threshold` or nothing survives the

@@ -31,8 +31,8 @@ class Networks:
     Attributes:
         hand_seg_net: (B, 3, h, w) -> seg_logits (B, 3, h', w') for background, left, right, and energy_logits
             (B, 2, h', w') for left, right.
-        pose_net_2d: (B, 3, S, S) -> heatmaps (B, 21 + cues, M, M), and (B,) log-odds that a crop shows a hand of the side it
-            was cut for, 0 from a network that does not judge.
+        pose_net_2d: (B, 3, S, S) -> heatmaps (B, 21 + cues, M, M), and (B,) log-odds that a crop shows a hand of the
+            side it was cut for, 0 from a network that does not judge.
         pose_net_3d: (B, 21 + cues, M, M) -> canonical joints (B, 21, 3) of a left-like hand.
         runtime: what runs them and in which arithmetic, for the reader.
     """

@@ -130,8 +130,8 @@ class PoseNet2D(nn.Module):
     The judgement is ours. HandSegNet sees a hand at a third of the crop's resolution; what looks like a hand to it may
     be an ear, or a right hand where it says left. The paper's only test is the energy's peak.
 
-    The cues are ours too. A heatmap says where a joint is and, by its spread, how deep; shading, foreshortening and what
-    covers what say more, and PoseNet3D never sees the crop. What the cues mean is found by training both together.
+    The cues are ours too. A heatmap says where a joint is and, by its spread, how deep; shading, foreshortening and
+    what covers what say more, and PoseNet3D never sees the crop. What the cues mean is found by training both together.
     """
 
     def __init__(self, config: PoseNet2DConfig) -> None:

@@ -66,7 +66,7 @@ class PoseNet3D(nn.Module):
             (B, 21, 3) canonical joints, x right, y down, z forward, unit = hand length. The output is shifted so
             that the root is exactly 0, as the canonical frame demands; the layer itself is free.
         """
-        x = functional.interpolate(heatmaps, scale_factor=2.0, mode="bilinear", align_corners=False)  # (B, 21 + cues, 64, 64)
+        x = functional.interpolate(heatmaps, scale_factor=2.0, mode="bilinear", align_corners=False)  # 64x64
         x = self.features(x).mean(dim=(2, 3))  # (B, C)
         joints = self.regressor(x).reshape(-1, N_JOINTS, 3)
         return joints - joints[:, ROOT : ROOT + 1]

@@ -23,7 +23,14 @@ from twohands.datasets.hand_views import hand_box, hand_classes
 from twohands.datasets.pose_targets import PoseTarget, Segmentation, false_hand, mirrored_hand, pose_target
 from twohands.datasets.segmentation_targets import segmentation_target
 from twohands.errors import InputError
-from twohands.geometry.segmentation import boxes_from_energy, hand_scores, letterbox, masks_from_logits, network_input
+from twohands.geometry.segmentation import (
+    PRESENCE_THRESHOLD,
+    boxes_from_energy,
+    hand_scores,
+    letterbox,
+    masks_from_logits,
+    network_input,
+)
 from twohands.models.blocks import fold_batch_norm
 from twohands.models.checkpoint import load_network
 from twohands.models.hand_seg_net import HandSegNetConfig
@@ -34,10 +41,13 @@ from twohands.types import HandSample
 
 Batch = dict[str, Tensor]
 Rngs = Sequence[np.random.Generator]
-Segment = Callable[[Sequence[np.ndarray]], list[Segmentation]]
-"""Masks and boxes of pictures, each (H, W, 3) uint8."""
+Segment = Callable[[Sequence[np.ndarray], Sequence[np.ndarray]], list[Segmentation]]
+"""Masks and boxes of pictures, each (H, W, 3) uint8, for which it is known which hands they show, each (2,) bool."""
 OpenSegmentation = Callable[[Path], Segment]
 """What finds masks and boxes, from a file of HandSegNet."""
+MISTAKE_THRESHOLD = 0.02
+"""HandSegNet's score from which on the judge is shown what was taken for a hand that is not there. In use, only scores
+twenty times as high come before it; they are too rare to learn from."""
 
 
 class SampleSource(Protocol):
@@ -131,8 +141,8 @@ class Segmenter:
         self.net = net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     @torch.inference_mode()
-    def __call__(self, images: Sequence[np.ndarray]) -> list[Segmentation]:
-        """Masks and boxes of pictures, each (H, W, 3) uint8."""
+    def __call__(self, images: Sequence[np.ndarray], present: Sequence[np.ndarray]) -> list[Segmentation]:
+        """Masks and boxes, see `Segment`."""
         canvases, places = zip(*(letterbox(image, self.size) for image in images), strict=True)
         inputs = torch.from_numpy(network_input(np.stack(canvases))).contiguous(memory_format=torch.channels_last)
         with torch.autocast("cpu", torch.bfloat16):
@@ -142,10 +152,24 @@ class Segmenter:
         found = []
         for i, image in enumerate(images):
             seg_logits, energy = places[i].content(logits[i]), places[i].content(energies[i])
-            boxes = boxes_from_energy(energy, image.shape[:2], hand_scores(energy, seg_logits))
-            classes = masks_from_logits(seg_logits, image.shape[:2], boxes.present)
-            found.append(Segmentation(classes, boxes.boxes_px))
+            scores = hand_scores(energy, seg_logits)
+            found.append(segmentation_of(seg_logits, energy, scores, image.shape[:2], present[i]))
         return found
+
+
+def segmentation_of(
+    seg_logits: np.ndarray, energies: np.ndarray, scores: np.ndarray, image_size: tuple[int, int], present: np.ndarray
+) -> Segmentation:
+    """What HandSegNet's maps say, and what they might mistake for a hand (`MISTAKE_THRESHOLD`).
+
+    Args:
+        seg_logits, energies, scores: (3, h, w), (2, h, w) and (2,) as `inference.estimator` has them.
+        image_size: (H, W) of the picture.
+        present: (2,) bool, the hands that are really there.
+    """
+    threshold = np.where(present, PRESENCE_THRESHOLD, MISTAKE_THRESHOLD)
+    boxes = boxes_from_energy(energies, image_size, scores, threshold=threshold)
+    return Segmentation(masks_from_logits(seg_logits, image_size, boxes.present), boxes.boxes_px)
 
 
 def pose_batch(
@@ -161,8 +185,8 @@ def pose_batch(
         samples: labelled pictures.
         config: the run.
         rngs: one generator per sample for random changes, or none at all for plain crops.
-        segment: finds masks and boxes, for all pictures without `rngs` and for the share `augment.predicted` of them
-            with; None for true ones.
+        segment: finds masks and boxes, for all pictures without `rngs`; with them for those without hands and for the
+            share `augment.predicted` of the others. None for true ones.
         others: for samples without hands, by number, another sample whose masks are laid over the picture, so that
             PoseNet2D's judge learns to look at more than outlines.
 
@@ -174,10 +198,12 @@ def pose_batch(
     judged = config.networks.pose_net_2d.judge
     targets: list[PoseTarget] = []
     lots: list[float] = []
-    chosen = [i for i in range(len(samples)) if not rngs or rngs[i].random() < config.augment.predicted]
+    shares = [config.augment.predicted if any(sample.present) else 1.0 for sample in samples]
+    chosen = [i for i in range(len(samples)) if not rngs or rngs[i].random() < shares[i]]
     predicted: dict[int, Segmentation] = {}
     if segment is not None and chosen:
-        predicted = dict(zip(chosen, segment([samples[i].image for i in chosen]), strict=True))
+        found = segment([samples[i].image for i in chosen], [np.asarray(samples[i].present) for i in chosen])
+        predicted = dict(zip(chosen, found, strict=True))
     for i, sample in enumerate(samples):
         rng = rngs[i] if rngs else None
         before = len(targets)
