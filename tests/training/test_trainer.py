@@ -15,8 +15,8 @@ from twohands.models.checkpoint import load_network, load_tensors, read_note, sa
 from twohands.models.pose_net_2d import PoseNet2D
 from twohands.models.presets import build_network
 from twohands.training.batches import BatchDataset
-from twohands.training.config import OptimConfig, TrainConfig
-from twohands.training.stages import build_stage
+from twohands.training.config import AugmentConfig, OptimConfig, TrainConfig
+from twohands.training.stages import build_stage, heatmap_losses, judge_losses, normalised
 from twohands.training.trainer import build_optimizer, train
 
 SAMPLES = make_samples(6)
@@ -259,10 +259,34 @@ def test_cues_are_learnt_and_a_tenth_of_the_hands_does_without(tmp_path):
     for step in range(12):
         batch = BatchDataset(SAMPLES, config)[step]
         sum(stage(batch, step).values()).backward()
-        lots.append(batch["lot"])
+        lots.append(batch["lot"][batch["hand"] > 0])
     silent = torch.cat([(maps[:, 21:] == 0).flatten(1).all(dim=1) for maps in seen])
     assert torch.equal(silent, torch.cat(lots) >= 0.9) and 0 < silent.float().mean() < 0.3
     assert stage.net_3d.features[0][0].weight.grad[:, 21:].abs().max() > 0
+
+
+@pytest.mark.parametrize("name", ["pose_net_2d", "pose_net_3d"])
+def test_only_hands_are_looked_at_closely_and_every_crop_is_judged(name, tmp_path):
+    """Mirrored crops have no joints: maps are computed for the others alone, with the same losses in the end."""
+    config = tiny_run(name, batch_images=6)
+    config = dataclasses.replace(config, augment=AugmentConfig(mirrored=0.5))
+    stage = build_stage(config, pose_weights(tmp_path)[: 1 if name == "pose_net_2d" else 2]).eval()
+    net = stage.networks()["pose_net_2d"]
+    batch = BatchDataset(SAMPLES, config)[0]
+    hands = batch["hand"] > 0
+    assert 0 < hands.sum() < len(hands)
+    decoded, judged = [], []
+    net.net.head.register_forward_pre_hook(lambda _, inputs: decoded.append(len(inputs[0])))
+    net.judge.register_forward_hook(lambda _, __, output: judged.append(len(output)))
+    parts = stage(batch, 0)
+    assert decoded == [hands.sum()] and judged == [len(hands)]
+    outputs, logits = net.judged(normalised(batch["image"]))
+    whole = heatmap_losses(net, outputs, batch, config) | judge_losses(logits, batch, config)
+    for part, value in whole.items():
+        torch.testing.assert_close(parts[part], value)
+    nobody = batch | {"hand": torch.zeros_like(batch["hand"]), "weight": torch.zeros_like(batch["weight"])}
+    nothing = stage(nobody | {"canonical_weight": torch.zeros_like(batch["canonical_weight"])}, 0)
+    assert nothing["heatmap"] == 0 and nothing["judge"] > 0 and all(value.isfinite() for value in nothing.values())
 
 
 def test_ideal_maps_replace_half_of_the_hands_at_first(tmp_path):
@@ -275,9 +299,10 @@ def test_ideal_maps_replace_half_of_the_hands_at_first(tmp_path):
     stage.net_3d.register_forward_pre_hook(lambda _, inputs: seen.append(inputs[0].detach()))
     for iteration in (4, 5):
         stage(batch, iteration)
-    ideal = stage._ideal_maps(batch)
+    hands = batch["hand"] > 0
+    ideal = stage._ideal_maps({key: values[hands] for key, values in batch.items()})
     same = [torch.isclose(maps, ideal).flatten(1).all(dim=1) for maps in seen]
-    assert torch.equal(same[0], batch["lot"] < 0.5) and not same[1].any()
+    assert torch.equal(same[0], batch["lot"][hands] < 0.5) and not same[1].any()
 
 
 def test_optimizers_of_the_recipes():

@@ -160,20 +160,23 @@ class PoseNet2D(nn.Module):
         """
         return self.judged(x)[0]
 
-    def judged(self, x: Tensor) -> tuple[list[Tensor], Tensor | None]:
+    def judged(self, x: Tensor, rows: Tensor | None = None) -> tuple[list[Tensor], Tensor | None]:
         """Raw maps as `forward` gives them, and how sure it is of its crops.
 
         Args:
             x: as for `forward`.
+            rows: (B,) bool, the crops whose maps are wanted; None for all.
 
         Returns:
             Maps; and (B, 1) log-odds that the crop shows a hand of the side that it was cut for (a left-like one), None
             for a network that does not judge.
         """
         if not isinstance(self.net, EncoderDecoder):
-            return self.net(x), None
+            return self.net(x if rows is None else x[rows]), None
         encoded = self.net.encode(x)
         hand_logit = None if self.judge is None else self.judge(encoded[-1].mean(dim=(2, 3)))
+        if rows is not None:
+            encoded = [level[rows] for level in encoded]
         return [self.net.decode(encoded)], hand_logit
 
     def probabilities(self, maps: Tensor) -> Tensor:

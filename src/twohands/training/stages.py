@@ -123,6 +123,15 @@ def judge_losses(hand_logit: Tensor | None, batch: Batch, config: TrainConfig) -
     return {"judge": config.loss.judge * losses.judge_loss(hand_logit, batch["hand"])}
 
 
+def only_hands(batch: Batch) -> tuple[Tensor, Batch]:
+    """Which crops (N,) show hands, and the batch of these: nothing else has joints to learn from. If none does, all:
+    without any there are no batch statistics."""
+    hands = batch["hand"] > 0
+    if not hands.any():
+        hands = torch.ones_like(hands)
+    return hands, {name: values[hands] for name, values in batch.items()}
+
+
 def read_out(net: PoseNet2D, heatmaps: Tensor) -> Tensor:
     """Joints (N, 21, 2) in crop pixels from `PoseNet2D.heatmaps`, read as the maps were trained."""
     decode = decode_softargmax if net.config.activation == "softmax" else decode_subpixel
@@ -183,8 +192,10 @@ class Pose2DStage(Stage):
         self.net = PoseNet2D(config.networks.pose_net_2d)
 
     def forward(self, batch: Batch, iteration: int) -> Losses:
-        outputs, hand_logit = self.net.judged(normalised(batch["image"]))
-        return heatmap_losses(self.net, outputs, batch, self.config) | judge_losses(hand_logit, batch, self.config)
+        hands, hand_batch = only_hands(batch)
+        outputs, hand_logit = self.net.judged(normalised(batch["image"]), hands)
+        two_d = heatmap_losses(self.net, outputs, hand_batch, self.config)
+        return two_d | judge_losses(hand_logit, batch, self.config)
 
     def validate(self, batches: Sequence[Batch]) -> dict[str, float]:
         """Mean and median distance of counted joints, in crop pixels and in pixels of the full picture; judged: share
@@ -222,14 +233,16 @@ class Pose3DStage(Stage):
 
     def forward(self, batch: Batch, iteration: int) -> Losses:
         loss = self.config.loss
+        hands, hand_batch = only_hands(batch)
         with torch.set_grad_enabled(self.along):
-            outputs, hand_logit = self.net_2d.judged(normalised(batch["image"]))
+            outputs, hand_logit = self.net_2d.judged(normalised(batch["image"]), hands)
             maps = self.net_2d.heatmaps(outputs)
         result: Losses = {}
         if self.along and loss.heatmap_along:
-            two_d = heatmap_losses(self.net_2d, outputs, batch, self.config)
+            two_d = heatmap_losses(self.net_2d, outputs, hand_batch, self.config)
             two_d |= judge_losses(hand_logit, batch, self.config)
             result = {name: loss.heatmap_along * value for name, value in two_d.items()}
+        batch = hand_batch
         if iteration < self.config.truth_maps:
             half = (batch["lot"] < 0.5)[:, None, None, None]
             maps = torch.where(half, self._ideal_maps(batch), maps.float())
