@@ -37,10 +37,10 @@ from twohands.evaluation.summary import markdown_table
 from twohands.geometry.projection import Method, project_global
 from twohands.inference.budget import STUDIES
 from twohands.inference.engine import Networks, load_networks
-from twohands.inference.estimator import DOUBT, NO_DOUBT, NO_TRUTH, SECOND_LOOK_IOU, HandEstimator, StageTruth
+from twohands.inference.estimator import NO_DOUBT, NO_TRUTH, SECOND_LOOK_IOU, HandEstimator, StageTruth
 from twohands.inference.ground_truth import HeatmapTargets, TruthfulEstimator
 from twohands.inference.smoothing_sweep import smoothing_sweep
-from twohands.inference.weights import DEFAULT_PRESET, WeightsCard, preset_folder, weights_id
+from twohands.inference.weights import DEFAULT_PRESET, DOUBT, WeightsCard, preset_folder, weights_id
 from twohands.types import GlobalPose, HandCrop, HandSample, PinholeCamera, TwoHandPose
 
 Estimate = Callable[[HandSample], TwoHandPose]

@@ -14,7 +14,7 @@ from twohands.geometry.heatmaps import encode_energy, encode_heatmaps
 from twohands.geometry.segmentation import network_input
 from twohands.inference.engine import Networks
 from twohands.inference.estimator import HandEstimator, StageTruth
-from twohands.inference.weights import WeightsCard
+from twohands.inference.weights import PictureLook, WeightsCard
 from twohands.types import HandCrop, HandSample
 
 
@@ -32,6 +32,7 @@ def make_card(**changes) -> WeightsCard:
         "crop_kind": "perspective",
         "crop_margin": 1.5,
         "heatmap_decode": "subpixel",
+        "further_looks": (PictureLook((135, 240), mirrored=True),),
     }
     return WeightsCard(**(values | changes))
 

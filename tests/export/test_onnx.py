@@ -11,6 +11,7 @@ from tests.training.tiny import NETWORKS
 
 from twohands.errors import CheckpointError, InputError
 from twohands.export import onnx
+from twohands.inference.engine import OpenVinoNetwork
 from twohands.inference.weights import read_card
 from twohands.models.checkpoint import load_network, network_name, read_note, save_network
 from twohands.models.pose_net_2d import PoseNet2D, PoseNet2DConfig
@@ -92,6 +93,17 @@ def test_openvino_equals_torch_for_any_batch_size(name, preset, networks):
             # Weights are stored in half precision, so answers differ by a little, by far less than they vary.
             assert np.abs(found - wanted).mean() < 0.02 * wanted.std()
             assert np.abs(found - wanted).max() < 1e-2 * scale
+
+
+def test_hand_seg_net_takes_pictures_of_any_size(preset, networks):
+    rng = np.random.default_rng(0)
+    network = OpenVinoNetwork(preset[0] / "hand_seg_net.onnx", input_channels=3, output_channels=(3, 2))
+    for size in ((64, 96), (128, 96), (64, 192), (64, 96)):
+        inputs = rng.uniform(-0.5, 0.5, (1, 3, *size)).astype(np.float32)
+        wanted = answer("hand_seg_net", networks["hand_seg_net"], inputs)
+        for found, expected in zip(network(inputs), wanted, strict=True):
+            assert found.shape == expected.shape == (1, *expected.shape[1:2], *size)
+            assert np.abs(found - expected).mean() < 0.05 * expected.std()
 
 
 @pytest.mark.parametrize("name", NAMES)

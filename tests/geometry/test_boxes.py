@@ -10,12 +10,14 @@ from twohands.geometry.boxes import (
     apply_homography,
     box_from_points,
     box_iou,
+    image_from_rolled,
     perspective_crop,
     square_crop,
     warp_image,
 )
 from twohands.geometry.camera import project, unproject
 from twohands.geometry.canonical import camera_from_canonical
+from twohands.geometry.rotation import rotation_about_z
 from twohands.skeleton import LEFT, RIGHT
 from twohands.types import PinholeCamera
 
@@ -240,3 +242,11 @@ def test_picture_and_points_agree(kind, side):
     found = np.array([(crop * u).sum(), (crop * v).sum()]) / crop.sum()
     expected = apply_homography(np.linalg.inv(image_from_crop), joint[None])[0]
     np.testing.assert_allclose(found, expected, atol=0.15)
+
+
+def test_pixels_of_a_rolled_camera_lead_to_those_of_the_upright_one():
+    roll = rotation_about_z(0.4)
+    assert np.allclose(roll @ [1, 0, 0], [np.cos(0.4), np.sin(0.4), 0])
+    points = np.random.default_rng(0).uniform([-0.2, -0.2, 0.3], [0.2, 0.2, 0.6], (50, 3))
+    found = apply_homography(image_from_rolled(OFF_CENTRE_CAMERA, roll), project(points @ roll.T, OFF_CENTRE_CAMERA))
+    np.testing.assert_allclose(found, project(points, OFF_CENTRE_CAMERA), atol=1e-9)

@@ -9,8 +9,9 @@ from twohands.geometry.canonical import (
     canonical_from_camera,
     cartesian_alignment,
     spherical_alignment,
+    unrolled_canonical,
 )
-from twohands.geometry.rotation import centring_angles
+from twohands.geometry.rotation import centring_angles, rotation_about_z
 from twohands.skeleton import ROOT, WRIST
 
 
@@ -126,3 +127,14 @@ def test_an_absent_hand_does_not_spoil_gradients(hands):
     joints.requires_grad_()
     canonical_from_camera(joints).joints[0].square().sum().backward()
     assert torch.isfinite(joints.grad).all() and (joints.grad[1:] == 0).all() and (joints.grad[0] != 0).any()
+
+
+@pytest.mark.parametrize("degrees", [-170, -20, 0, 15, 90])
+def test_a_rolled_camera_sees_the_same_hand(to, hands, degrees):
+    """Its canonical pose is another one, wherever the hand is; unrolled it is the camera's own."""
+    joints_m, _, _ = hands
+    roll = rotation_about_z(np.radians(degrees))
+    upright, rolled = (canonical_from_camera(to(joints)).joints for joints in (joints_m, joints_m @ roll.T))
+    found = unrolled_canonical(rolled, to(3.0 * joints_m[:, ROOT]), to(roll))
+    np.testing.assert_allclose(np.asarray(found), np.asarray(upright), atol=1e-12)
+    assert degrees == 0 or not np.allclose(rolled, upright, atol=0.1)

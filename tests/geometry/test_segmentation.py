@@ -13,9 +13,10 @@ from twohands.geometry.segmentation import (
     hand_scores,
     letterbox,
     masks_from_logits,
-    mean_of_mirrored,
+    mean_of_looks,
     network_input,
     otsu_threshold,
+    unmirrored,
 )
 
 BOTH = np.array([True, True])
@@ -174,19 +175,28 @@ def test_every_shape_of_picture_can_be_put_in_and_taken_out(shape):
     assert masks_from_logits(np.zeros((3, *content.shape[1:])), shape, BOTH).shape == shape
 
 
-def test_the_mean_of_mirrored_answers_swaps_sides_and_columns_back():
-    rng = np.random.default_rng(3)
-    logits, energies = rng.normal(size=(3, 4, 6)), rng.normal(size=(2, 4, 6))
-    mirror = (logits[[0, 2, 1], :, ::-1], energies[[1, 0], :, ::-1])
-    for found, given in zip(mean_of_mirrored((logits, energies), mirror), (logits, energies), strict=True):
-        np.testing.assert_allclose(found, given)
+def test_the_mirror_image_of_a_right_hand_at_its_left_is_a_left_hand_at_the_right():
     logits, energies = np.zeros((3, 1, 2)), np.zeros((2, 1, 2))
-    mirrored = (logits.copy(), energies.copy())
-    mirrored[0][2, 0, 0], mirrored[1][1, 0, 0] = 2.0, 3.0  # a right hand at the mirror image's left
-    energies[0, 0, 1] = 1.0
-    masks, mean = mean_of_mirrored((logits, energies), mirrored)  # is a left one at the picture's right
-    assert masks[1, 0, 1] == 1.0 and np.count_nonzero(masks) == 1
-    assert mean[0, 0, 1] == 2.0 and np.count_nonzero(mean) == 1
+    logits[2, 0, 0], energies[1, 0, 0], logits[0, 0, 1] = 2.0, 3.0, 1.0
+    masks, energy = unmirrored(logits, energies)
+    assert masks[:, 0].tolist() == [[1, 0], [0, 2], [0, 0]] and energy[:, 0].tolist() == [[0, 3], [0, 0]]
+    for twice, once in zip(unmirrored(masks, energy), (logits, energies), strict=True):
+        np.testing.assert_array_equal(twice, once)
+
+
+def test_the_mean_of_looks_has_the_resolution_of_the_finest():
+    """A map that is linear between its cells' centres is the same at any resolution, but for its border."""
+
+    def ramp(rows, columns, scale):
+        v, u = np.meshgrid((np.arange(rows) + 0.5) / rows, (np.arange(columns) + 0.5) / columns, indexing="ij")
+        return scale * np.stack([u, v, u + v]), scale * np.stack([v, u])
+
+    masks, energies = mean_of_looks([ramp(4, 8, 1.0), ramp(16, 32, 2.0), ramp(8, 16, 3.0)])
+    assert masks.shape == (3, 16, 32) and energies.shape == (2, 16, 32)
+    for found, expected in zip((masks, energies), ramp(16, 32, 2.0), strict=True):
+        np.testing.assert_allclose(found[:, 2:-2, 2:-2], expected[:, 2:-2, 2:-2], atol=1e-6)
+    alone = ramp(4, 8, 1.0)
+    assert all(np.array_equal(a, b) for a, b in zip(mean_of_looks([alone]), alone, strict=True))
 
 
 def test_masks_are_the_largest_logit():

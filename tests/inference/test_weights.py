@@ -1,5 +1,6 @@
 """Weights folders: cards, networks in the wrong place, and the compiled networks themselves."""
 
+import dataclasses
 import json
 import shutil
 
@@ -10,7 +11,14 @@ from tests.oracles import write_tiny_weights
 from twohands.errors import CheckpointError
 from twohands.inference.engine import load_networks
 from twohands.inference.estimator import HandEstimator
-from twohands.inference.weights import DEFAULT_PRESET, preset_folder, preset_names, read_card
+from twohands.inference.weights import (
+    DEFAULT_PRESET,
+    PictureLook,
+    preset_folder,
+    preset_names,
+    read_card,
+    weights_id,
+)
 from twohands.types import PinholeCamera
 
 
@@ -57,6 +65,12 @@ def test_the_shipped_presets_are_complete():
         (lambda card: card.update(int8=["hand_seg_net"]), "card: "),
         (lambda card: card.update(int8={"hand_net": {}}), "unknown networks, hand_net"),
         (lambda card: card.update(int8={"hand_seg_net": {"relu": 0}}), "peaks larger than 0"),
+        (lambda card: card["pose_net_2d"].update(cues=-1), "cues must not be negative"),
+        (lambda card: card["hand_seg_net"].update(doubt=[0.5]), "doubt must be"),
+        (lambda card: card["hand_seg_net"].update(further_looks=[{"size": [48, 80]}]), "multiples of 32"),
+        (lambda card: card["hand_seg_net"].update(further_looks=[{"mirrored": True}]), "'size' is missing"),
+        (lambda card: card["pose_net_2d"].update(rolls_deg=15), "card: "),
+        (lambda card: card.update(networks="../elsewhere"), "folder beside the card's"),
     ],
 )
 def test_a_bad_card_is_refused(copied, change, message):
@@ -65,6 +79,34 @@ def test_a_bad_card_is_refused(copied, change, message):
     (copied / "card.json").write_text(json.dumps(card))
     with pytest.raises(CheckpointError, match=message):
         read_card(copied)
+
+
+def test_a_card_alone_runs_the_networks_of_the_preset_that_it_names(copied):
+    card = json.loads((copied / "card.json").read_text()) | {"name": "patient", "networks": copied.name}
+    card["hand_seg_net"] |= {
+        "further_looks": [{"size": [64, 96]}, {"size": [32, 64], "mirrored": True}],
+        "doubt": [0, 1],
+    }
+    card["pose_net_2d"]["rolls_deg"] = [15, -15]
+    alone = copied.parent / "patient"
+    alone.mkdir()
+    (alone / "card.json").write_text(json.dumps(card))
+    found = read_card(alone)
+    assert found.further_looks == (PictureLook((64, 96)), PictureLook((32, 64), mirrored=True))
+    assert (found.doubt, found.rolls_deg) == ((0, 1), (15, -15))
+    assert read_card(copied).further_looks == (PictureLook((48, 80), mirrored=True),)
+    assert weights_id(alone, found).partition("@")[2] == weights_id(copied, read_card(copied)).partition("@")[2]
+    image, camera = np.zeros((48, 80, 3), np.uint8), PinholeCamera.from_fov(90.0, 80, 48)
+    shipped, patient = HandEstimator.from_preset(copied), HandEstimator.from_preset(alone)
+    seen = []
+    network = patient.networks.pose_net_2d
+    patient.networks = dataclasses.replace(patient.networks, pose_net_2d=lambda x: seen.append(x) or network(x))
+    for hand, again in zip(shipped.estimate(image, camera).hands, patient.estimate(image, camera).hands, strict=True):
+        assert hand.present and again.present
+    assert len(seen) >= 3
+    (copied / "pose_net_2d.onnx").unlink()
+    with pytest.raises(CheckpointError, match=r"copy: pose_net_2d\.onnx is missing"):
+        read_card(alone)
 
 
 def test_missing_and_damaged_cards_are_refused(copied):

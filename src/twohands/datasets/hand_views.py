@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from twohands.geometry.boxes import box_from_points
+from twohands.geometry.rotation import rotation_about_z
 from twohands.types import HandSample
 
 LEAST_INSIDE = 0.2
@@ -49,6 +50,4 @@ def random_roll(largest_deg: float, rng: np.random.Generator | None) -> np.ndarr
     at most so many degrees."""
     if rng is None or not largest_deg or rng.random() < 0.5:
         return np.eye(3)
-    angle = np.radians(rng.uniform(-largest_deg, largest_deg))
-    cos, sin = np.cos(angle), np.sin(angle)
-    return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    return rotation_about_z(np.radians(rng.uniform(-largest_deg, largest_deg)))

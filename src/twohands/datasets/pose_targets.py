@@ -10,7 +10,14 @@ import numpy as np
 from twohands.datasets.hand_views import hand_box, hand_classes, random_roll
 from twohands.datasets.transforms import MaskConfig, PhotometricConfig, jitter_colours, spoil_masks
 from twohands.errors import InputError
-from twohands.geometry.boxes import apply_homography, box_from_points, perspective_crop, square_crop, warp_image
+from twohands.geometry.boxes import (
+    apply_homography,
+    box_from_points,
+    image_from_rolled,
+    perspective_crop,
+    square_crop,
+    warp_image,
+)
 from twohands.geometry.canonical import canonical_from_camera
 from twohands.geometry.composition import compose_hand_input
 from twohands.skeleton import N_JOINTS, RIGHT, ROOT, WRIST
@@ -161,20 +168,19 @@ def pose_target(
         return None
 
     rolled_camera = random_roll(crop.roll, rng)
-    intrinsics = _intrinsics(sample.camera)
-    image_from_rolled = intrinsics @ rolled_camera.T @ np.linalg.inv(intrinsics)
+    unrolled = image_from_rolled(sample.camera, rolled_camera)
     corner = np.array([width, height], np.float64)
-    seen = apply_homography(np.linalg.inv(image_from_rolled), np.clip(joints_px, 0, corner))
+    seen = apply_homography(np.linalg.inv(unrolled), np.clip(joints_px, 0, corner))
     rolled_box = np.asarray(box_from_points(seen, known), np.float64)
     if min(rolled_box[2:] - rolled_box[:2]) < 2:
         return None
     if predicted is not None and np.isfinite(predicted.boxes_px[side]).all():
-        rolled_box = _like(rolled_box, box, predicted.boxes_px[side], image_from_rolled)
+        rolled_box = _like(rolled_box, box, predicted.boxes_px[side], unrolled)
         rolled_from_crop = crop_matrix(rolled_box, sample.camera, side, size, crop)
     else:
         predicted = None
         rolled_from_crop = crop_matrix(rolled_box, sample.camera, side, size, crop, rng)
-    image_from_crop = image_from_rolled @ rolled_from_crop
+    image_from_crop = unrolled @ rolled_from_crop
     crop_joints = np.asarray(apply_homography(np.linalg.inv(image_from_crop), joints_px))
     inside = known & _inside(crop_joints, size, size)
     image = warp_image(sample.image, image_from_crop, size, interpolation="linear")
@@ -193,7 +199,7 @@ def pose_target(
 
     canonical, distance, has_3d = _canonical_target(sample, side, rolled_camera)
     mirror = MIRROR_X if side == RIGHT else np.eye(3)
-    rays = mirror @ np.linalg.inv(intrinsics) @ rolled_from_crop
+    rays = mirror @ np.linalg.inv(_intrinsics(sample.camera)) @ rolled_from_crop
     return PoseTarget(
         image=composed,
         joints_px=np.where(inside[:, None], crop_joints, 0.0).astype(np.float32),
@@ -273,9 +279,9 @@ def _composed(
     return compose_hand_input(image, classes, np.eye(3), side, len(image), crop.background)
 
 
-def _like(rolled_box: np.ndarray, box: np.ndarray, predicted: np.ndarray, image_from_rolled: np.ndarray) -> np.ndarray:
+def _like(rolled_box: np.ndarray, box: np.ndarray, predicted: np.ndarray, unrolled: np.ndarray) -> np.ndarray:
     """A predicted box in the rolled picture: its centre there, and larger or smaller by as much as the true box."""
-    centre = apply_homography(np.linalg.inv(image_from_rolled), (predicted[None, :2] + predicted[None, 2:]) / 2)[0]
+    centre = apply_homography(np.linalg.inv(unrolled), (predicted[None, :2] + predicted[None, 2:]) / 2)[0]
     half = (predicted[2:] - predicted[:2]) / 2 * (rolled_box[2:] - rolled_box[:2]) / (box[2:] - box[:2])
     return np.concatenate([centre - half, centre + half])
 

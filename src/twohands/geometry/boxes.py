@@ -119,6 +119,18 @@ def perspective_crop(
     return intrinsics @ rotation.T @ np.linalg.inv(crop_intrinsics) @ _mirror(side, size)
 
 
+def image_from_rolled(camera: PinholeCamera, rolled_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Homography (3, 3) from the pixels of a camera that is rolled about its line of sight to those of the same camera
+    upright.
+
+    Args:
+        camera: intrinsics of both; lens distortion is ignored.
+        rolled_from_camera: (3, 3), `rotation.rotation_about_z`.
+    """
+    intrinsics = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]], dtype=np.float64)
+    return intrinsics @ rolled_from_camera.T @ np.linalg.inv(intrinsics)
+
+
 def apply_homography(homography: Array, points: Array) -> Array:
     """Map points through a homography.
 

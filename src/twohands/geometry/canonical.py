@@ -61,6 +61,26 @@ def canonical_from_camera(joints_m: Array) -> Canonical:
     )
 
 
+def unrolled_canonical(canonical: Array, root_ray: Array, rolled_from_camera: Array) -> Array:
+    """A canonical pose for a camera, from that for the same camera rolled about its line of sight.
+
+    The centred frames of the two differ by a roll about the root's ray, which is that of the cameras only for a root on
+    the axis.
+
+    Args:
+        canonical: (..., 21, 3) as the rolled camera has it.
+        root_ray: (..., 3) direction of the root in the camera that is not rolled, any length.
+        rolled_from_camera: (3, 3) rotation about z, `rotation.rotation_about_z`.
+
+    Returns:
+        (..., 21, 3) as the camera has it.
+    """
+    xp, canonical, ray, roll = float_arrays(canonical, root_ray, rolled_from_camera)
+    centred = rotation_from_angles(*centring_angles(ray))
+    rolled = rotation_from_angles(*centring_angles(rotate(roll, ray[..., None, :])[..., 0, :]))
+    return rotate(xp.matmul(centred, xp.matrix_transpose(xp.matmul(rolled, roll))), canonical)
+
+
 def camera_from_canonical(
     canonical: Array, hand_length_m: Array | float, radius_m: Array, theta: Array, phi: Array
 ) -> Array:

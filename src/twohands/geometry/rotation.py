@@ -6,6 +6,9 @@ through one chosen point; hands are described there because a hand looks the sam
 
 from __future__ import annotations
 
+import numpy as np
+from numpy.typing import NDArray
+
 from twohands.geometry._arrays import float_arrays
 from twohands.types import Array
 
@@ -69,6 +72,12 @@ def rotation_from_angles(theta: Array, phi: Array) -> Array:
         (sin_p, cos_p * sin_t, cos_p * cos_t),
     )
     return xp.stack([xp.stack(xp.broadcast_arrays(*row), axis=-1) for row in rows], axis=-2)
+
+
+def rotation_about_z(angle: float) -> NDArray[np.float64]:
+    """Rotation about the line of sight, (3, 3): x towards y by `angle` radians."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
 
 
 def rotate(rotation: Array, points: Array) -> Array:

@@ -5,6 +5,7 @@ Source: paper section 4.1; SPEC 2 for what the paper leaves open.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -190,22 +191,32 @@ def hand_scores(energies: np.ndarray, seg_logits: np.ndarray) -> np.ndarray:
     return 1 / (1 + np.exp(-(log_odds(energies.max(axis=(1, 2))) + leads) / 2))
 
 
-def mean_of_mirrored(
-    maps: tuple[np.ndarray, np.ndarray], mirrored: tuple[np.ndarray, np.ndarray]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Mean of HandSegNet's answers for a picture and for its mirror image, in which a left hand is a right one.
-
-    Ours. Two looks at one picture err differently.
+def unmirrored(seg_logits: np.ndarray, energy_logits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """HandSegNet's answer for a picture's mirror image, in which a left hand is a right one, as one for the picture.
 
     Args:
-        maps: logits of masks (3, h, w) for background, left, right, and of energies (2, h, w) for LEFT and RIGHT.
-        mirrored: the same for the mirror image.
-
-    Returns:
-        Logits of masks and energies for the picture.
+        seg_logits: (3, h, w) for background, left, right.
+        energy_logits: (2, h, w) for LEFT and RIGHT.
     """
-    (masks, energies), (mirrored_masks, mirrored_energies) = maps, mirrored
-    return (masks + mirrored_masks[[0, 2, 1], :, ::-1]) / 2, (energies + mirrored_energies[::-1, :, ::-1]) / 2
+    return seg_logits[[0, 2, 1], :, ::-1], energy_logits[::-1, :, ::-1]
+
+
+def mean_of_looks(looks: Sequence[tuple[np.ndarray, ...]]) -> tuple[np.ndarray, ...]:
+    """Mean of several answers for one picture, at the resolution of the finest.
+
+    Ours. Looks at a picture from another side or at another size err differently.
+
+    Args:
+        looks: of each the same maps, (C, h, w), each covering the whole picture at a resolution of its own.
+    """
+    size = max(look[0].shape[1:] for look in looks)
+
+    def resized(maps: np.ndarray) -> np.ndarray:
+        if maps.shape[1:] == size:
+            return maps
+        return np.stack([cv2.resize(np.ascontiguousarray(plane), size[::-1]) for plane in maps])
+
+    return tuple(np.mean([resized(maps) for maps in same], axis=0) for same in zip(*looks, strict=True))
 
 
 def boxes_from_energy(

@@ -5,17 +5,18 @@ The estimator knows only `Networks`: three callables. A test, or another runtime
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from twohands.errors import CheckpointError
 from twohands.inference.int8 import quantise
-from twohands.inference.weights import WeightsCard
+from twohands.inference.weights import WeightsCard, network_files
 from twohands.skeleton import N_JOINTS
 
 HEAVY_LAYERS = ("Convolution", "FullyConnected", "MatMul")
@@ -29,8 +30,8 @@ class Networks:
     """The learned parts of the pipeline; float32 arrays in and out, B any batch size.
 
     Attributes:
-        hand_seg_net: (B, 3, h, w) -> seg_logits (B, 3, h', w') for background, left, right, and energy_logits
-            (B, 2, h', w') for left, right.
+        hand_seg_net: (B, 3, h, w), h and w multiples of 32 -> seg_logits (B, 3, h', w') for background, left, right,
+            and energy_logits (B, 2, h', w') for left, right.
         pose_net_2d: (B, 3, S, S) -> heatmaps (B, 21 + cues, M, M), and (B,) log-odds that a crop shows a hand of the
             side it was cut for, 0 from a network that does not judge.
         pose_net_3d: (B, 21 + cues, M, M) -> canonical joints (B, 21, 3) of a left-like hand.
@@ -45,6 +46,8 @@ class Networks:
 
 class OpenVinoNetwork:
     """One ONNX file, compiled for the CPU, called like a function.
+
+    For pictures of another size than the file's it is compiled again when the first of them comes.
 
     The arithmetic is int8 where the peaks of the activations are known, else whatever the processor does best: bfloat16
     where it has such units, or float32.
@@ -83,8 +86,14 @@ class OpenVinoNetwork:
                 f"found {found_in} in and {found_out} out"
             )
         quantise(model, int8_peaks)
-        settings = {"PERFORMANCE_HINT": "LATENCY", "INFERENCE_NUM_THREADS": threads}
-        self._network = openvino.compile_model(model, "CPU", settings)
+        self._model = model
+        self._compile = functools.partial(
+            openvino.compile_model,
+            device_name="CPU",
+            config={"PERFORMANCE_HINT": "LATENCY", "INFERENCE_NUM_THREADS": threads},
+        )
+        self._network = self._compile(model)
+        self._by_size = {_size(model.inputs[0]): self._network}
 
     def __call__(self, batch: np.ndarray) -> tuple[np.ndarray, ...]:
         """Run the network.
@@ -95,8 +104,15 @@ class OpenVinoNetwork:
         Returns:
             Every output, in the order of the file.
         """
-        result = self._network([np.ascontiguousarray(batch, dtype=np.float32)])
-        return tuple(result[port] for port in self._network.outputs)
+        network = self._by_size.get(batch.shape[2:]) or self._for_size(batch.shape)
+        result = network([np.ascontiguousarray(batch, dtype=np.float32)])
+        return tuple(result[port] for port in network.outputs)
+
+    def _for_size(self, shape: tuple[int, ...]) -> Any:
+        model = self._model.clone()
+        model.reshape([-1, *shape[1:]])
+        self._by_size[shape[2:]] = self._compile(model)
+        return self._by_size[shape[2:]]
 
     @property
     def threads(self) -> int:
@@ -125,9 +141,11 @@ def load_networks(folder: Path, card: WeightsCard, threads: int = 0) -> Networks
         CheckpointError: a file is missing, damaged, or holds another network.
     """
 
+    files = network_files(folder, card)
+
     def compiled(name: str, inputs: int, *outputs: int) -> OpenVinoNetwork:
         return OpenVinoNetwork(
-            folder / f"{name}.onnx",
+            files[name],
             input_channels=inputs,
             output_channels=outputs,
             threads=threads,
@@ -150,6 +168,12 @@ def load_networks(folder: Path, card: WeightsCard, threads: int = 0) -> Networks
         return heatmaps, judged[0][:, 0] if judged else np.zeros(len(batch), np.float32)
 
     return Networks(hand_seg_net, pose_net_2d, lambda batch: pose_3d(batch)[0], runtime)
+
+
+def _size(port: Any) -> tuple[int, ...]:
+    """Rows and columns of a network's input; empty where they are free."""
+    _, _, *size = port.get_partial_shape()
+    return () if any(n.is_dynamic for n in size) else tuple(n.get_length() for n in size)
 
 
 def _channels(port: object) -> int | None:

@@ -8,15 +8,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from twohands.errors import InputError
-from twohands.geometry.boxes import apply_homography, box_iou, mirrored_columns, perspective_crop, square_crop
+from twohands.geometry.boxes import (
+    apply_homography,
+    box_iou,
+    image_from_rolled,
+    mirrored_columns,
+    perspective_crop,
+    square_crop,
+)
+from twohands.geometry.camera import unproject
+from twohands.geometry.canonical import unrolled_canonical
 from twohands.geometry.composition import compose_hand_input
 from twohands.geometry.projection import project_global, range_weights
+from twohands.geometry.rotation import rotation_about_z
 from twohands.geometry.segmentation import (
     PRESENCE_THRESHOLD,
     HandBoxes,
@@ -24,14 +34,15 @@ from twohands.geometry.segmentation import (
     hand_scores,
     letterbox,
     masks_from_logits,
-    mean_of_mirrored,
+    mean_of_looks,
     network_input,
+    unmirrored,
 )
 from twohands.inference.engine import Networks, load_networks
 from twohands.inference.read_out import read_joints
 from twohands.inference.sides import CANDIDATE_THRESHOLD, TURN_BELOW, assign_sides, corrected_masks, in_one_place
-from twohands.inference.weights import DEFAULT_PRESET, WeightsCard, preset_folder, read_card
-from twohands.skeleton import N_JOINTS, RIGHT
+from twohands.inference.weights import DEFAULT_PRESET, PictureLook, WeightsCard, preset_folder, read_card
+from twohands.skeleton import N_JOINTS, RIGHT, ROOT
 from twohands.types import GlobalPose, HandCrop, HandPose, PinholeCamera, TwoHandPose
 
 DEFAULT_HAND_LENGTH_M = 0.10
@@ -44,16 +55,11 @@ Ours; the paper looks once. It concerns a fifth of the hands. On 160 test images
 92 % within 1.5 degrees to 94 %, and the mean camera-space error from 18.4 to 17.5 mm; a second look at all hands gives
 no more.
 """
-DOUBT = (0.03, 0.97)
-"""Scores of a hand between which HandSegNet looks at the picture's mirror image too; the mean of both looks counts.
-
-Ours. It concerns three of ten pictures of preset paper and most of preset wild. On 850 generated pictures with
-`inference.sides` chosen for either, presence before a webcam was right for 93.5 instead of 90.5 % of the hands; two
-looks at all pictures bring a little more, and cost twice as much.
-"""
 NO_DOUBT = (1.0, 1.0)
 """For `HandEstimator.doubt`: a single look at every picture."""
 SMALLEST_BOX_PX = 8.0
+MEASURED = ("joints_px", "joint_scores")
+"""What `HandEstimator.look_around` takes the mean of, in `Look`."""
 METHOD = "all-joints"
 
 
@@ -140,7 +146,7 @@ class HandEstimator:
         self.card = card
         self.threshold = CANDIDATE_THRESHOLD if card.judge else PRESENCE_THRESHOLD
         self.second_look_iou = SECOND_LOOK_IOU
-        self.doubt = DOUBT
+        self.doubt = card.doubt
 
     @classmethod
     def from_preset(cls, preset: str | Path = DEFAULT_PRESET, threads: int = 0) -> HandEstimator:
@@ -191,6 +197,8 @@ class HandEstimator:
         if boxes.present.any():
             sides = look.sides
             canonical = self.lift(look, truth)
+            if truth.heatmaps is None and truth.joints_px is None and truth.canonical is None:
+                look, canonical = self.look_around(image, masks, look, canonical, camera)
             lengths_m = np.broadcast_to(hand_length_m, (2,))[sides]
             pose = self.place(canonical, look.joints_px, look.joint_scores, camera, lengths_m)
             for i, side in enumerate(sides):
@@ -215,21 +223,24 @@ class HandEstimator:
 
     def hand_maps(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """HandSegNet: seg_logits (3, h, w) and energies (2, h, w), 0..1, over the whole picture and nothing else, and
-        `hand_scores` (2,) of them; from the mean of two looks in doubt (`DOUBT`)."""
-        canvas, place = letterbox(image, self.card.seg_input_size)
+        `hand_scores` (2,) of them; from the mean of all looks where the first leaves a doubt."""
 
-        def look(pictures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            seg_logits, energy_logits = self.networks.hand_seg_net(network_input(pictures))
-            return seg_logits[0], energy_logits[0]
+        def look(how: PictureLook) -> tuple[np.ndarray, np.ndarray]:
+            canvas, place = letterbox(image, how.size)
+            picture = canvas[:, ::-1] if how.mirrored else canvas
+            seg_logits, energy_logits = (maps[0] for maps in self.networks.hand_seg_net(network_input(picture[None])))
+            if how.mirrored:
+                seg_logits, energy_logits = unmirrored(seg_logits, energy_logits)
+            return place.content(seg_logits), place.content(energy_logits)
 
-        def scored(maps: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            seg_logits, energies = place.content(maps[0]), 1.0 / (1.0 + np.exp(-place.content(maps[1])))
+        def scored(maps: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            seg_logits, energies = maps[0], 1.0 / (1.0 + np.exp(-maps[1]))
             return seg_logits, energies, hand_scores(energies, seg_logits)
 
-        maps = look(canvas[None])
-        seg_logits, energies, scores = scored(maps)
-        if ((scores > self.doubt[0]) & (scores < self.doubt[1])).any():
-            return scored(mean_of_mirrored(maps, look(canvas[None, :, ::-1])))
+        first = look(PictureLook(self.card.seg_input_size))
+        seg_logits, energies, scores = scored(first)
+        if self.card.further_looks and ((scores > self.doubt[0]) & (scores < self.doubt[1])).any():
+            return scored(mean_of_looks([first, *map(look, self.card.further_looks)]))
         return seg_logits, energies, scores
 
     def find_joints(
@@ -319,15 +330,57 @@ class HandEstimator:
         remaining = [looks[side, source[side]] for side in np.flatnonzero(source >= 0)]
         return source, scores, Look.joined(remaining) if remaining else look.rows([])
 
+    def look_around(
+        self, image: np.ndarray, masks: np.ndarray, look: Look, canonical: np.ndarray, camera: PinholeCamera
+    ) -> tuple[Look, np.ndarray]:
+        """Looks at every hand again, as cameras rolled by `card.rolls_deg` see it; the mean of all looks counts.
+
+        Ours. What is learnt from rolled hands is not the same for every roll; the errors of such looks differ.
+
+        Args:
+            image, masks, camera: of the picture.
+            look: at B hands, to be kept but for `joints_px` and `joint_scores`.
+            canonical: (B, 21, 3), from that look.
+
+        Returns:
+            The look with the mean joints, and the mean canonical pose.
+        """
+        looks, poses = [look], [canonical]
+        for degrees in self.card.rolls_deg:
+            roll = rotation_about_z(math.radians(degrees))
+            unrolled = image_from_rolled(camera, roll)
+            seen = apply_homography(np.linalg.inv(unrolled), np.clip(look.joints_px, 0, image.shape[1::-1]))
+            boxes_px = np.concatenate([seen.min(axis=1), seen.max(axis=1)], axis=1)
+            if (boxes_px[:, 2:] - boxes_px[:, :2]).min() < SMALLEST_BOX_PX:
+                break
+            hands = zip(boxes_px, look.sides, strict=True)
+            again = self.look_at([self.crop(image, masks, box, int(side), camera, unrolled) for box, side in hands])
+            rays = unproject(again.joints_px[:, ROOT], camera)
+            looks.append(again)
+            poses.append(unrolled_canonical(self.lift(again), rays, roll))
+        joints_px, scores = (np.mean([getattr(each, name) for each in looks], axis=0) for name in MEASURED)
+        return replace(look, joints_px=joints_px, joint_scores=scores), np.mean(poses, axis=0)
+
     def crop(
-        self, image: np.ndarray, masks: np.ndarray, box_px: np.ndarray, side: int, camera: PinholeCamera
+        self,
+        image: np.ndarray,
+        masks: np.ndarray,
+        box_px: np.ndarray,
+        side: int,
+        camera: PinholeCamera,
+        image_from_boxed: np.ndarray | None = None,
     ) -> HandCrop:
-        """Stage 2: the hand's square picture; the rest black or dimmed, a right hand mirrored."""
+        """Stage 2: the hand's square picture; the rest black or dimmed, a right hand mirrored.
+
+        `image_from_boxed`, (3, 3), leads to pixels of the picture where the box is given in those of a rolled camera.
+        """
         size, margin = self.card.crop_size, self.card.crop_margin
         if self.card.crop_kind == "perspective":
             image_from_crop = perspective_crop(box_px, camera, size=size, side=side, margin=margin)
         else:
             image_from_crop = square_crop(box_px, size=size, side=side, margin=margin)
+        if image_from_boxed is not None:
+            image_from_crop = image_from_boxed @ image_from_crop
         composed = compose_hand_input(image, masks, image_from_crop, side, size, self.card.background)
         return HandCrop(composed, image_from_crop, side, mirrored=side == RIGHT)
 

@@ -108,5 +108,6 @@ class HandSegNet(nn.Module):
         """
         maps = self.net(x)
         if maps.shape[-2:] != x.shape[-2:]:
-            maps = functional.interpolate(maps, size=x.shape[-2:], mode="bilinear", align_corners=False)
+            # A factor, not a size: exported, the network still takes pictures of any size.
+            maps = functional.interpolate(maps, scale_factor=2.0, mode="bilinear", align_corners=False)
         return maps[:, :3], maps[:, 3:]

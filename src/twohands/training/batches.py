@@ -45,9 +45,9 @@ Segment = Callable[[Sequence[np.ndarray], Sequence[np.ndarray]], list[Segmentati
 """Masks and boxes of pictures, each (H, W, 3) uint8, for which it is known which hands they show, each (2,) bool."""
 OpenSegmentation = Callable[[Path], Segment]
 """What finds masks and boxes, from a file of HandSegNet."""
-MISTAKE_THRESHOLD = 0.02
+MISTAKE_THRESHOLD = 0.05
 """HandSegNet's score from which on the judge is shown what was taken for a hand that is not there. In use, only scores
-twenty times as high come before it; they are too rare to learn from."""
+eight times as high come before it; they are too rare to learn from."""
 
 
 class SampleSource(Protocol):
