@@ -37,13 +37,16 @@ from twohands.evaluation.summary import markdown_table
 from twohands.geometry.projection import Method, project_global
 from twohands.inference.budget import STUDIES
 from twohands.inference.engine import Networks, load_networks
-from twohands.inference.estimator import NO_DOUBT, NO_TRUTH, SECOND_LOOK_IOU, HandEstimator, StageTruth
+from twohands.inference.estimator import NO_TRUTH, SECOND_LOOK_IOU, HandEstimator, StageTruth
 from twohands.inference.ground_truth import HeatmapTargets, TruthfulEstimator
 from twohands.inference.smoothing_sweep import smoothing_sweep
-from twohands.inference.weights import DEFAULT_PRESET, DOUBT, WeightsCard, preset_folder, weights_id
+from twohands.inference.weights import DEFAULT_PRESET, PictureLook, WeightsCard, preset_folder, weights_id
 from twohands.types import GlobalPose, HandCrop, HandSample, PinholeCamera, TwoHandPose
 
 Estimate = Callable[[HandSample], TwoHandPose]
+ALWAYS = (-math.inf, math.inf)
+SIZES = (PictureLook((160, 288), mirrored=True), PictureLook((288, 512)))
+ROLLS: dict[str, tuple[float, ...]] = {"none": (), "15 degrees": (15.0,), "15 and -15 degrees": (15.0, -15.0)}
 Values = dict[str, float]
 """Numbers by the keys of `evaluation.protocols`."""
 
@@ -209,16 +212,18 @@ class OtherSolver(HandEstimator):
 
 
 def looking(
-    networks: Networks,
-    card: WeightsCard,
-    *,
-    second_look_iou: float = SECOND_LOOK_IOU,
-    doubt: tuple[float, float] = DOUBT,
+    networks: Networks, card: WeightsCard, *, second_look_iou: float = SECOND_LOOK_IOU, **rules: Any
 ) -> HandEstimator:
-    """A pipeline that looks twice by other rules (`inference.estimator`)."""
-    estimator = HandEstimator(networks, card)
-    estimator.second_look_iou, estimator.doubt = second_look_iou, doubt
+    """A pipeline that looks again by other rules: its own, and those of the card."""
+    estimator = HandEstimator(networks, dataclasses.replace(card, **rules))
+    estimator.second_look_iou = second_look_iou
     return estimator
+
+
+def in_words(looks: Sequence[PictureLook]) -> str:
+    """HandSegNet's further looks, for a reader."""
+    sizes = (f"{look.size[0]}x{look.size[1]}{', mirrored' if look.mirrored else ''}" for look in looks)
+    return "; ".join(sizes) or "none"
 
 
 def isolated(complete: TruthfulEstimator, targets: HeatmapTargets) -> dict[str, Estimate]:
@@ -270,12 +275,25 @@ def ablations(complete: TruthfulEstimator, floating: Networks | None) -> list[Ab
             },
         ),
         Ablation(
-            "Mirror image",
-            "Ours: in doubt, HandSegNet looks at the picture's mirror image too. The paper looks once.",
+            "More looks at the picture",
+            "Ours: in doubt, HandSegNet looks at the picture again. The paper looks once.",
             {
-                "never": TruthfulEstimator(looking(networks, card, doubt=NO_DOUBT)),
-                f"a score between {DOUBT[0]:g} and {DOUBT[1]:g}": complete,
-                "always": TruthfulEstimator(looking(networks, card, doubt=(-math.inf, math.inf))),
+                "never": TruthfulEstimator(looking(networks, card, further_looks=())),
+                f"a score between {card.doubt[0]:g} and {card.doubt[1]:g}: {in_words(card.further_looks)}": complete,
+                "always: the same": TruthfulEstimator(looking(networks, card, doubt=ALWAYS)),
+                f"always: {in_words(SIZES)}": TruthfulEstimator(
+                    looking(networks, card, doubt=ALWAYS, further_looks=SIZES)
+                ),
+            },
+        ),
+        Ablation(
+            "More looks at a hand",
+            "By the pose networks, as cameras see it that are rolled so far; the mean counts. The paper looks once.",
+            {
+                name: complete
+                if rolls == card.rolls_deg
+                else TruthfulEstimator(looking(networks, card, rolls_deg=rolls))
+                for name, rolls in ROLLS.items()
             },
         ),
     ]

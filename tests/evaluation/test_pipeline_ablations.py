@@ -162,7 +162,8 @@ def test_tables_are_left_out_where_the_weights_do_not_have_it():
         assert all(sum(variant.estimator.card == card for variant in a.variants.values()) >= 1 for a in found)
         return [ablation.title for ablation in found]
 
-    always = ["Read-out of the heatmaps", "Range in closed form", "Second look", "Mirror image"]
+    looks = ["Second look", "More looks at the picture", "More looks at a hand"]
+    always = ["Read-out of the heatmaps", "Range in closed form", *looks]
     assert titles(CARD) == always
     assert titles(make_card(judge=True)) == [*always, "Judge"]
     assert titles(CARD, dataclasses.replace(UNUSED, runtime="float")) == [*always, "Arithmetic"]

@@ -192,11 +192,10 @@ def test_in_doubt_both_the_picture_and_its_mirror_image_count():
         return seg_logits, energy_logits
 
     networks = dataclasses.replace(oracle.estimator.networks, hand_seg_net=seeing_a_ghost)
-    estimator = HandEstimator(networks, oracle.card)
-    estimator.doubt = (1.0, 1.0)
+    estimator = HandEstimator(networks, make_card(doubt=(1.0, 1.0)))
     assert estimator.segment(sample.image)[1].present.tolist() == [True, True]
     assert oracle.calls == ["hand_seg_net"]
-    estimator.doubt = (0.5, 0.95)
+    estimator = HandEstimator(networks, make_card(doubt=(0.5, 0.95)))
     masks, boxes = estimator.segment(sample.image)
     assert oracle.calls == 3 * ["hand_seg_net"]
     assert boxes.present.tolist() == [True, False]

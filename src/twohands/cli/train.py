@@ -132,13 +132,14 @@ def open_segmentation(checkpoint: Path) -> Segment:
     Raises:
         CheckpointError: missing, damaged, or of another network.
     """
-    from twohands.inference.estimator import NO_DOUBT, HandEstimator
+    from twohands.inference.estimator import HandEstimator
     from twohands.training.batches import Segmenter, segmentation_of
 
     if checkpoint.name != "hand_seg_net.onnx" or not (checkpoint.parent / "card.json").is_file():
         return Segmenter(checkpoint)
-    estimator = HandEstimator.from_preset(checkpoint.parent, threads=1)
-    estimator.doubt = NO_DOUBT  # like `Segmenter`: the time is the training's
+    shipped = HandEstimator.from_preset(checkpoint.parent, threads=1)
+    # A single look at every picture, like `Segmenter`: the time is the training's.
+    estimator = HandEstimator(shipped.networks, dataclasses.replace(shipped.card, further_looks=()))
 
     def segment(images: Sequence[np.ndarray], present: Sequence[np.ndarray]) -> list[Segmentation]:
         pictures = zip(images, present, strict=True)

@@ -55,8 +55,6 @@ Ours; the paper looks once. It concerns a fifth of the hands. On 160 test images
 92 % within 1.5 degrees to 94 %, and the mean camera-space error from 18.4 to 17.5 mm; a second look at all hands gives
 no more.
 """
-NO_DOUBT = (1.0, 1.0)
-"""For `HandEstimator.doubt`: a single look at every picture."""
 SMALLEST_BOX_PX = 8.0
 MEASURED = ("joints_px", "joint_scores")
 """What `HandEstimator.look_around` takes the mean of, in `Look`."""
@@ -146,7 +144,6 @@ class HandEstimator:
         self.card = card
         self.threshold = CANDIDATE_THRESHOLD if card.judge else PRESENCE_THRESHOLD
         self.second_look_iou = SECOND_LOOK_IOU
-        self.doubt = card.doubt
 
     @classmethod
     def from_preset(cls, preset: str | Path = DEFAULT_PRESET, threads: int = 0) -> HandEstimator:
@@ -239,7 +236,8 @@ class HandEstimator:
 
         first = look(PictureLook(self.card.seg_input_size))
         seg_logits, energies, scores = scored(first)
-        if self.card.further_looks and ((scores > self.doubt[0]) & (scores < self.doubt[1])).any():
+        low, high = self.card.doubt
+        if self.card.further_looks and ((scores > low) & (scores < high)).any():
             return scored(mean_of_looks([first, *map(look, self.card.further_looks)]))
         return seg_logits, energies, scores
 
