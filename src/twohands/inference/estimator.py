@@ -333,11 +333,12 @@ class HandEstimator:
     ) -> tuple[Look, np.ndarray]:
         """Looks at every hand again, as cameras rolled by `card.rolls_deg` see it; the mean of all looks counts.
 
-        Ours. What is learnt from rolled hands is not the same for every roll; the errors of such looks differ.
+        Ours. What is learnt from rolled hands is not the same for every roll; the errors of such looks differ. Where
+        the joints of a hand span less than `SMALLEST_BOX_PX` there is nothing more to see.
 
         Args:
             image, masks, camera: of the picture.
-            look: at B hands, to be kept but for `joints_px` and `joint_scores`.
+            look: at B hands, to be kept but for what is `MEASURED`.
             canonical: (B, 21, 3), from that look.
 
         Returns:
