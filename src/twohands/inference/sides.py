@@ -21,9 +21,9 @@ CANDIDATE_THRESHOLD: Final = 0.4
 This and the next four were chosen together, with the shipped weights, on generated pictures that are neither trained
 nor tested on, and on the photographs that training puts behind hands.
 """
-TURN_BELOW: Final = -1.0
+TURN_BELOW: Final = -2.0
 """Log-odds of PoseNet2D below which it looks at a candidate's mirror image too: seldom at an egocentric view."""
-SEG_WEIGHT: Final = 0.6
+SEG_WEIGHT: Final = 0.7
 """Weight of HandSegNet's log-odds in the decision; PoseNet2D's have the rest. HandSegNet sees the person."""
 SEG_LIMIT: Final = 4.0
 """HandSegNet's log-odds are limited to this size: it may be sure and wrong."""
