@@ -21,7 +21,7 @@ def test_log_odds_by_hand():
     ("seg_scores", "own", "turned", "source"),
     [
         (SURE, [6, 6], [NO, NO], [0, 1]),  # two good hands
-        (SURE, [6, -6], [NO, -9], [0, -1]),  # the right one is nothing
+        (SURE, [6, -10], [NO, -9], [0, -1]),  # the right one is nothing
         ([0.95, 0.5], [6, -6], [NO, 5], [0, -1]),  # the right one is a ghost of the left one, which is there already
         ([0.4, 0.95], [-1, -6], [-2, 6], [1, -1]),  # a left hand, best seen where the right one was expected
         ([0.1, 0.95], [NO, -6], [NO, 6], [1, -1]),  # the same, and nothing was found for the left one
