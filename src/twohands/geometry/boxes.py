@@ -128,7 +128,7 @@ def image_from_rolled(camera: PinholeCamera, rolled_from_camera: NDArray[np.floa
         rolled_from_camera: (3, 3), `rotation.rotation_about_z`.
     """
     intrinsics = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]], dtype=np.float64)
-    return intrinsics @ rolled_from_camera.T @ np.linalg.inv(intrinsics)
+    return intrinsics @ np.transpose(rolled_from_camera) @ np.linalg.inv(intrinsics)
 
 
 def apply_homography(homography: Array, points: Array) -> Array:
