@@ -102,7 +102,7 @@ def test_the_segmentation_of_a_preset_is_that_of_the_pipeline(tmp_path):
     shipped = HandEstimator.from_preset(preset)
     estimator = HandEstimator(shipped.networks, dataclasses.replace(shipped.card, further_looks=()))
     shutil.copy(preset / "hand_seg_net.onnx", tmp_path)
-    image = read_image(list_images(examples_folder())[0])
+    image = read_image(list_images(examples_folder())[1])  # with both hands
     masks, boxes = estimator.segment(image)
     (found,) = train.open_segmentation(preset / "hand_seg_net.onnx")([image], [boxes.present])
     np.testing.assert_array_equal(found.classes, masks)

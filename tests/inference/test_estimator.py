@@ -344,7 +344,7 @@ def judging(oracle, hand_seg_net):
     def locate(crops, truth):
         middles = [crop.image_from_crop @ [card.crop_size / 2, card.crop_size / 2, 1] for crop in crops]
         off = [np.linalg.norm(m[:2] / m[2] - centres[crop.side]) for m, crop in zip(middles, crops, strict=True)]
-        return oracle.true_maps(crops), np.where(np.array(off) < 10, 6.0, -6.0)
+        return oracle.true_maps(crops), np.where(np.array(off) < 10, 12.0, -12.0)
 
     estimator.locate = locate
     return estimator
@@ -387,6 +387,6 @@ def test_a_ghost_on_the_other_hand_is_refused_and_gives_its_pixels_back():
 def test_what_is_no_hand_is_refused():
     sample = drawn_hands(2)
     estimator = judging(Oracle(sample, make_card()), Oracle(sample, make_card()).hand_seg_net)
-    estimator.locate = lambda crops, truth: (np.zeros((len(crops), 21, 32, 32)), np.full(len(crops), -9.0))
+    estimator.locate = lambda crops, truth: (np.zeros((len(crops), 21, 32, 32)), np.full(len(crops), -12.0))
     pose = estimator.estimate(sample.image, sample.camera, HAND_LENGTH_M)
     assert not pose.left.present and not pose.right.present and not pose.masks.any()

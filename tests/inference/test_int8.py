@@ -45,9 +45,9 @@ def test_values_after_a_relu_are_clipped_and_rounded_to_256_levels():
 
 
 def test_peaks_are_the_largest_values_over_all_batches():
-    rng = np.random.default_rng(0)
-    batches = [rng.random((2, 21, 32, 32), np.float32) for _ in range(2)]
-    path = preset_folder(DEFAULT_PRESET) / "pose_net_3d.onnx"
+    rng, folder = np.random.default_rng(0), preset_folder(DEFAULT_PRESET)
+    batches = [rng.random((2, 21 + read_card(folder).cues, 32, 32), np.float32) for _ in range(2)]
+    path = folder / "pose_net_3d.onnx"
     together, apart = activation_peaks(path, batches), [activation_peaks(path, [batch]) for batch in batches]
     assert together and set(together) == set(apart[0]) | set(apart[1])
     for name, peak in together.items():
@@ -79,7 +79,7 @@ def test_shipped_masks_stay_as_they_are_in_8_bits():
 
 def test_the_card_decides(tmp_path):
     folder = shutil.copytree(preset_folder(DEFAULT_PRESET), tmp_path / "copy")
-    inputs = np.random.default_rng(0).random((1, 21, 32, 32), np.float32)
+    inputs = np.random.default_rng(0).random((1, 21 + read_card(folder).cues, 32, 32), np.float32)
     card = json.loads((folder / "card.json").read_text())
     card["int8"] = {"pose_net_3d": activation_peaks(folder / "pose_net_3d.onnx", [inputs])}
     (folder / "card.json").write_text(json.dumps(card))
