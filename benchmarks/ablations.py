@@ -35,9 +35,10 @@ from twohands.training.trainer import TrainResult, train
 SMALL = (
     *("max_minutes=0", "optim.optimizer=adamw", "optim.along_rate=0", "crop.background=0"),
     *("data.empty=0", "data.clutter=0", "crop.roll=0", "augment.mirrored=0", "networks.pose_net_3d.width=0.5"),
+    "networks.pose_net_3d.cues=0",
 )
 """What all rows change in recipe `ours`."""
-SLIM_2D = dataclasses.replace(SLIM.pose_net_2d, width=0.5, judge=False)
+SLIM_2D = dataclasses.replace(SLIM.pose_net_2d, width=0.5, judge=False, cues=0)
 POSE_MACHINE = dataclasses.replace(SLIM_2D, variant="vgg", crop_size=256, stages=2, width=0.25)
 
 

@@ -13,7 +13,7 @@ from twohands.models.encoder_decoder import EncoderDecoder
 from twohands.models.hand_seg_net import HandSegNet, HandSegNetConfig
 from twohands.models.pose_net_2d import PoseNet2D, PoseNet2DConfig
 from twohands.models.pose_net_3d import PoseNet3D, PoseNet3DConfig
-from twohands.models.presets import PAPER, SLIM, NetworkConfigs, build_network, config_from_dict
+from twohands.models.presets import PAPER, SLIM, build_network, config_from_dict
 from twohands.skeleton import ROOT
 
 TINY_SEG = HandSegNetConfig(height=64, width_px=96, width=0.125)
@@ -149,11 +149,6 @@ def test_cues_pass_the_read_out_and_start_unheard():
     silent[:, 21:] = 0
     assert torch.equal(lifting(maps), lifting(silent))
     assert not torch.allclose(lifting(maps), lifting(maps.flip(1)))
-
-
-def test_both_pose_networks_have_the_same_cues():
-    with pytest.raises(InputError, match="gives 4 cues, but pose_net_3d takes 0"):
-        NetworkConfigs(pose_net_2d=dataclasses.replace(TINY_2D, cues=4))
 
 
 def test_softmax_heatmaps_of_a_gaussian_have_peak_1_at_z_0_and_2_to_the_z_elsewhere():

@@ -15,7 +15,7 @@ from twohands.models.checkpoint import load_network, load_tensors, read_note, sa
 from twohands.models.pose_net_2d import PoseNet2D
 from twohands.models.presets import build_network
 from twohands.training.batches import BatchDataset
-from twohands.training.config import AugmentConfig, OptimConfig, TrainConfig
+from twohands.training.config import AugmentConfig, OptimConfig, TrainConfig, with_override
 from twohands.training.stages import build_stage, heatmap_losses, judge_losses, normalised
 from twohands.training.trainer import build_optimizer, train
 
@@ -248,6 +248,12 @@ def test_weights_without_cues_go_on_with_the_same_answers(tmp_path):
     maps, old_maps = (net.heatmaps(net(crops)) for net in (stage.net_2d, old_2d))
     torch.testing.assert_close(maps[:, :21], old_maps)
     torch.testing.assert_close(stage.net_3d(maps), old_3d(old_maps))
+
+
+def test_both_pose_networks_have_the_same_cues(tmp_path):
+    config = with_override(tiny_run("pose_net_3d"), "networks.pose_net_2d.cues=4")
+    with pytest.raises(InputError, match="gives 4 cues, but pose_net_3d takes 3"):
+        build_stage(config, pose_weights(tmp_path))
 
 
 def test_cues_are_learnt_and_a_tenth_of_the_hands_does_without(tmp_path):

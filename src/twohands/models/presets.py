@@ -40,12 +40,6 @@ class NetworkConfigs:
     pose_net_2d: PoseNet2DConfig = field(default_factory=PoseNet2DConfig)
     pose_net_3d: PoseNet3DConfig = field(default_factory=PoseNet3DConfig)
 
-    def __post_init__(self) -> None:
-        if self.pose_net_2d.cues != self.pose_net_3d.cues:
-            raise InputError(
-                f"pose_net_2d gives {self.pose_net_2d.cues} cues, but pose_net_3d takes {self.pose_net_3d.cues}"
-            )
-
 
 PAPER = NetworkConfigs()
 """The paper's networks (SPEC 2, 3, 4)."""

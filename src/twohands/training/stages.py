@@ -314,7 +314,7 @@ def build_stage(config: TrainConfig, weights: Sequence[Path] = (), *, require_we
         require_weights: False if the caller fills the networks from a saved state afterwards.
 
     Raises:
-        InputError: PoseNet2D's weights are missing, or shapes differ.
+        InputError: PoseNet2D's weights are missing, shapes differ, or the pose networks' cues do.
         CheckpointError: a file is missing, damaged or of a network that this stage does not have.
     """
     torch.manual_seed(config.seed)
@@ -325,6 +325,9 @@ def build_stage(config: TrainConfig, weights: Sequence[Path] = (), *, require_we
         stage = Pose2DStage(config)
         known = {"pose_net_2d": stage.net}
     else:
+        given, taken = config.networks.pose_net_2d.cues, config.networks.pose_net_3d.cues
+        if given != taken:
+            raise InputError(f"pose_net_2d gives {given} cues, but pose_net_3d takes {taken}")
         stage = Pose3DStage(config, PoseNet2D(config.networks.pose_net_2d))
         known = {"pose_net_2d": stage.net_2d, "pose_net_3d": stage.net_3d}
     filled: set[str] = set()
