@@ -18,6 +18,7 @@ from twohands.geometry.boxes import (
     square_crop,
     warp_image,
 )
+from twohands.geometry.camera import intrinsic_matrix
 from twohands.geometry.canonical import canonical_from_camera
 from twohands.geometry.composition import compose_hand_input
 from twohands.skeleton import N_JOINTS, RIGHT, ROOT, WRIST
@@ -199,7 +200,7 @@ def pose_target(
 
     canonical, distance, has_3d = _canonical_target(sample, side, rolled_camera)
     mirror = MIRROR_X if side == RIGHT else np.eye(3)
-    rays = mirror @ np.linalg.inv(_intrinsics(sample.camera)) @ rolled_from_crop
+    rays = mirror @ np.linalg.inv(intrinsic_matrix(sample.camera)) @ rolled_from_crop
     return PoseTarget(
         image=composed,
         joints_px=np.where(inside[:, None], crop_joints, 0.0).astype(np.float32),
@@ -303,7 +304,3 @@ def _canonical_target(sample: HandSample, side: int, rolled_camera: np.ndarray) 
 def _inside(points: np.ndarray, width: int, height: int) -> np.ndarray:
     """(N, 2) points -> (N,) bool, within [0, width) x [0, height); NaN is outside."""
     return (points >= 0).all(axis=-1) & (points[:, 0] < width) & (points[:, 1] < height)
-
-
-def _intrinsics(camera: PinholeCamera) -> np.ndarray:
-    return np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from twohands.errors import InputError
 from twohands.geometry._arrays import float_arrays
-from twohands.geometry.camera import unproject
+from twohands.geometry.camera import intrinsic_matrix, unproject
 from twohands.geometry.rotation import centring_angles, rotation_from_angles
 from twohands.skeleton import LEFT, RIGHT
 from twohands.types import Array, PinholeCamera
@@ -106,7 +106,7 @@ def perspective_crop(
     Source: SPEC 2 (crop), option of ours.
     """
     u0, v0, u1, v1 = _checked_box(box_px)
-    intrinsics = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]], dtype=np.float64)
+    intrinsics = intrinsic_matrix(camera)
     pinhole = PinholeCamera(camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
     rays = unproject(np.array([[(u0 + u1) / 2, (v0 + v1) / 2], [u0, v0], [u1, v0], [u0, v1], [u1, v1]]), pinhole)
     rotation = rotation_from_angles(*centring_angles(rays[0]))
@@ -127,7 +127,7 @@ def image_from_rolled(camera: PinholeCamera, rolled_from_camera: NDArray[np.floa
         camera: intrinsics of both; lens distortion is ignored.
         rolled_from_camera: (3, 3), `rotation.rotation_about_z`.
     """
-    intrinsics = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]], dtype=np.float64)
+    intrinsics = intrinsic_matrix(camera)
     return intrinsics @ np.transpose(rolled_from_camera) @ np.linalg.inv(intrinsics)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twohands.geometry._arrays import float_arrays
 from twohands.types import Array, PinholeCamera
@@ -35,6 +36,11 @@ def unproject(points_px: Array, camera: PinholeCamera) -> Array:
         with np.errstate(all="ignore"):  # outside the lens model the iteration may run away; the answer is then NaN
             x, y = _undistort(xp, x, y, camera.distortion)
     return xp.stack([x, y, xp.ones_like(x)], axis=-1)
+
+
+def intrinsic_matrix(camera: PinholeCamera) -> NDArray[np.float64]:
+    """K (3, 3), from a ray (x, y, 1) to a pixel (u, v, 1); lens distortion is no part of it."""
+    return np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]], dtype=np.float64)
 
 
 def project(points_cam: Array, camera: PinholeCamera, *, distort: bool = False) -> Array:

@@ -16,6 +16,7 @@ import numpy as np
 from twohands.errors import InputError
 from twohands.geometry.boxes import (
     apply_homography,
+    box_from_points,
     box_iou,
     image_from_rolled,
     mirrored_columns,
@@ -349,7 +350,7 @@ class HandEstimator:
             roll = rotation_about_z(math.radians(degrees))
             unrolled = image_from_rolled(camera, roll)
             seen = apply_homography(np.linalg.inv(unrolled), np.clip(look.joints_px, 0, image.shape[1::-1]))
-            boxes_px = np.concatenate([seen.min(axis=1), seen.max(axis=1)], axis=1)
+            boxes_px = box_from_points(seen)
             if (boxes_px[:, 2:] - boxes_px[:, :2]).min() < SMALLEST_BOX_PX:
                 break
             hands = zip(boxes_px, look.sides, strict=True)

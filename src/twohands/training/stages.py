@@ -138,9 +138,9 @@ def read_out(net: PoseNet2D, heatmaps: Tensor) -> Tensor:
     return decode(heatmaps[:, :N_JOINTS].detach().float())[0] * (net.config.crop_size / MAP_SIZE)
 
 
-def without_cues(heatmaps: Tensor) -> Tensor:
-    """`PoseNet2D.heatmaps` with cues of 0."""
-    return torch.cat([heatmaps[:, :N_JOINTS], torch.zeros_like(heatmaps[:, N_JOINTS:])], dim=1)
+def with_silent_cues(maps: Tensor, cues: int) -> Tensor:
+    """`PoseNet2D.heatmaps` of the joints' maps (N, 21, M, M), with cues of 0 behind them."""
+    return functional.pad(maps, (0, 0, 0, 0, 0, cues))
 
 
 class _Errors2D:
@@ -246,9 +246,9 @@ class Pose3DStage(Stage):
         if iteration < self.config.truth_maps:
             half = (batch["lot"] < 0.5)[:, None, None, None]
             maps = torch.where(half, self._ideal_maps(batch), maps.float())
-        if self.net_3d.config.cues:
+        if cues := self.net_3d.config.cues:
             deaf = (batch["lot"] >= 1 - CUELESS)[:, None, None, None]
-            maps = torch.where(deaf, without_cues(maps), maps)
+            maps = torch.where(deaf, with_silent_cues(maps[:, :N_JOINTS], cues), maps)
         predicted = self.net_3d(maps).float()
 
         truth, weight = batch["canonical"], batch["canonical_weight"]
@@ -271,7 +271,7 @@ class Pose3DStage(Stage):
         if self.net_2d.config.activation == "softmax":
             mass = maps.sum(dim=(2, 3), keepdim=True).clamp_min(1e-12)
             maps = maps / mass * (2 * torch.pi * self.net_2d.config.sigma**2)
-        return functional.pad(maps, (0, 0, 0, 0, 0, self.net_2d.config.cues))
+        return with_silent_cues(maps, self.net_2d.config.cues)
 
     def validate(self, batches: Sequence[Batch]) -> dict[str, float]:
         """canonical_mean: mean joint distance in hand lengths; bone_mean: mean absolute bone length error in hand
