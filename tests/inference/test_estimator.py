@@ -14,7 +14,7 @@ from twohands.geometry.segmentation import HandBoxes, network_input
 from twohands.inference.engine import Networks
 from twohands.inference.estimator import NO_TRUTH, HandEstimator, Look, StageTruth, joint_boxes
 from twohands.skeleton import LEFT, RIGHT
-from twohands.types import PinholeCamera
+from twohands.types import HandPose, PinholeCamera
 
 HAND_LENGTH_M = 0.1
 
@@ -178,6 +178,34 @@ def test_true_presence_overrules_a_low_score_but_the_box_is_still_estimated():
     assert told.present.tolist() == [True, False]
     assert np.isnan(told.boxes_px[RIGHT]).all()
     np.testing.assert_allclose(told.boxes_px[LEFT], true_boxes(sample)[LEFT], atol=6)
+
+
+def test_a_hand_of_the_frame_before_is_looked_for_where_it_is_seen_but_faintly():
+    sample = drawn_hands(5, present=(True, False))
+    oracle = Oracle(sample, make_card(judge=True))
+
+    def faint(batch):
+        seg_logits, energy_logits = oracle.hand_seg_net(batch)
+        energy = 0.05 / (1 + np.exp(-energy_logits))
+        return seg_logits / 20, np.log(energy / (1 - energy))
+
+    def sure(batch):
+        return oracle.true_maps(crops), np.full(len(batch), 12.0)
+
+    networks = dataclasses.replace(oracle.estimator.networks, hand_seg_net=faint, pose_net_2d=sure)
+    networks = dataclasses.replace(networks, pose_net_3d=lambda maps: oracle.canonical[:1].astype(np.float32))
+    estimator = HandEstimator(networks, oracle.card)
+    masks, boxes = estimator.segment(sample.image, remembered=np.array([True, True]))
+    assert boxes.present.tolist() == [True, False]
+    crops = [estimator.crop(sample.image, masks, boxes.boxes_px[LEFT], LEFT, sample.camera)]
+    unknown = estimator.estimate(sample.image, sample.camera)
+    absent, present = (
+        dataclasses.replace(unknown, left=HandPose(present=there), right=HandPose(present=False))
+        for there in (False, True)
+    )
+    found = [estimator.estimate(sample.image, sample.camera, previous=pose) for pose in (None, absent, present)]
+    assert [pose.left.present for pose in found] == [False, False, True]
+    assert not any(pose.right.present for pose in found)
 
 
 def test_in_doubt_both_the_picture_and_its_mirror_image_count():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from twohands.geometry.segmentation import log_odds
-from twohands.inference.sides import ONE_PLACE_COST, SEG_WEIGHT, assign_sides, corrected_masks, in_one_place
+from twohands.inference.sides import MEMORY, ONE_PLACE_COST, SEG_WEIGHT, assign_sides, corrected_masks, in_one_place
 
 NO = np.nan
 MEETING = np.array([[1, 0, 4, 1], [3, 0, 5, 1.0]])
@@ -53,6 +53,16 @@ def test_two_hands_in_one_place_need_more_evidence():
     assert assign_sides(*doubtful, one_place=True)[0].tolist() == [0, -1]
     clear = np.array([0.9, 0.9]), np.array([4.0, 5.0]), np.full(2, NO)
     assert assign_sides(*clear, one_place=True)[0].tolist() == [0, 1]
+
+
+def test_a_hand_that_was_there_before_needs_less_evidence_and_a_new_one_more():
+    half = 0.5 * MEMORY / (1 - SEG_WEIGHT)
+    doubtful = np.array([0.5, 0.5]), np.array([-half, half]), np.full(2, NO)
+    assert assign_sides(*doubtful)[0].tolist() == [-1, 1]
+    source, values = assign_sides(*doubtful, remembered=np.array([True, False]))
+    assert source.tolist() == [0, -1]
+    np.testing.assert_allclose(values, [0.5 * MEMORY, NO])
+    assert assign_sides(*doubtful, remembered=np.array([True, True]))[0].tolist() == [0, 1]
 
 
 @pytest.mark.parametrize(("shift_px", "same"), [(9.0, True), (11.0, False)])

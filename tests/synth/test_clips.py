@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from twohands.errors import InputError
-from twohands.synth.clips import ClipSource, assign_clips, find_clips, numbered, open_clip, unusable
+from twohands.synth.clips import ClipSource, RoomBackgrounds, assign_clips, find_clips, numbered, open_clip, unusable
 from twohands.types import PinholeCamera
 
 CAMERA = PinholeCamera.ego3dhands(160, 90)
@@ -172,3 +172,10 @@ def test_a_panorama_with_damaged_light_is_skipped_with_a_reason(tmp_path):
     assert unusable(source) is None
     (tmp_path / "light" / "a.npy").write_bytes(b"no array")
     assert unusable(source) == "its light (light/a.npy) cannot be read"
+
+
+def test_a_room_behind_a_single_picture_is_the_first_frame_of_such_a_sequence():
+    picture = RoomBackgrounds().sample(np.random.default_rng(4), CAMERA).picture
+    np.testing.assert_array_equal(picture, clip_of(ClipSource("room"), seed=4).frame(0))
+    other = RoomBackgrounds().sample(np.random.default_rng(5), CAMERA).picture
+    assert picture.shape == (90, 160, 3) and np.abs(picture.astype(int) - other).mean() > 10

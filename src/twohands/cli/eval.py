@@ -82,7 +82,8 @@ class System:
     truth: tuple[Stage, ...] = ()
     """Stages to replace by ground truth, for isolated results."""
     smooth: bool = False
-    """Smooth the range over the frames of each folder, as `track` does over video."""
+    """Take the frames of each folder as video: hands that were there a frame before are remembered (not a peer's), and
+    ranges are smoothed."""
     peer: Literal["mediapipe"] | None = None
     """Measure another system instead of ours."""
     peer_python: Path | None = None
@@ -452,7 +453,11 @@ def _predict(dataset: OpenedDataset, system: System, count: int | None) -> Predi
             peer = stack.enter_context(
                 MediaPipeHands(system.peer_python, handedness=system.handedness, placement=system.placement)
             )
-            estimate, name, settings = peer, peer.name, peer.settings
+            name, settings = peer.name, peer.settings
+
+            def estimate(sample: HandSample, previous: TwoHandPose | None = None) -> TwoHandPose:
+                return peer(sample)
+
         else:
             estimator = HandEstimator.from_preset(system.weights)
             targets = HeatmapTargets.from_folder(preset_folder(system.weights))
@@ -460,8 +465,9 @@ def _predict(dataset: OpenedDataset, system: System, count: int | None) -> Predi
             name = weights_id(preset_folder(system.weights), estimator.card)
             settings = _settings(estimator, system)
         if system.smooth:
-            estimate, settings = _Smoothed(estimate), settings | {"smoothed": True}
-        predictions = predict(samples, estimate, dataset=dataset.samples.name, weights=name, settings=settings)
+            settings = settings | {"smoothed": True}
+        system_under_test = _Video(estimate) if system.smooth else estimate
+        predictions = predict(samples, system_under_test, dataset=dataset.samples.name, weights=name, settings=settings)
     return replace(predictions, command=_command())
 
 
@@ -474,21 +480,22 @@ def _settings(estimator: HandEstimator, system: System) -> dict[str, Any]:
     }
 
 
-class _Smoothed:
-    """An estimator whose ranges are smoothed over the frames of each folder."""
+class _Video:
+    """An estimator that is told what it said of the frame before, and whose ranges are smoothed, folder by folder."""
 
-    def __init__(self, estimate: Callable[[HandSample], TwoHandPose]) -> None:
+    def __init__(self, estimate: Callable[[HandSample, TwoHandPose | None], TwoHandPose]) -> None:
         self._estimate = estimate
         self._tracker = HandTracker()
         self._folder: str | None = None
         self._frame = 0
+        self._previous: TwoHandPose | None = None
 
     def __call__(self, sample: HandSample) -> TwoHandPose:
         folder = sample.source.rpartition("/")[0]
         if folder != self._folder:
             self._tracker.reset()
-            self._folder, self._frame = folder, 0
-        pose = replace(self._estimate(sample), index=self._frame)
+            self._folder, self._frame, self._previous = folder, 0, None
+        pose = self._previous = replace(self._estimate(sample, self._previous), index=self._frame)
         self._frame += 1
         return self._tracker.update(pose)
 

@@ -41,7 +41,14 @@ from twohands.geometry.segmentation import (
 )
 from twohands.inference.engine import Networks, load_networks
 from twohands.inference.read_out import read_joints
-from twohands.inference.sides import CANDIDATE_THRESHOLD, TURN_BELOW, assign_sides, corrected_masks, in_one_place
+from twohands.inference.sides import (
+    CANDIDATE_THRESHOLD,
+    REMEMBERED_THRESHOLD,
+    TURN_BELOW,
+    assign_sides,
+    corrected_masks,
+    in_one_place,
+)
 from twohands.inference.weights import DEFAULT_PRESET, PictureLook, WeightsCard, preset_folder, read_card
 from twohands.skeleton import N_JOINTS, RIGHT, ROOT
 from twohands.types import GlobalPose, HandCrop, HandPose, PinholeCamera, TwoHandPose
@@ -170,6 +177,7 @@ class HandEstimator:
         *,
         index: int = 0,
         time_s: float | None = None,
+        previous: TwoHandPose | None = None,
     ) -> TwoHandPose:
         """Estimate both hands.
 
@@ -180,6 +188,8 @@ class HandEstimator:
                 with it.
             truth: ground truth that replaces stages.
             index, time_s: position in the source, handed through.
+            previous: of a video, what was found one frame before: hands seldom come or go. Only that they were there
+                counts; it needs weights with a judge.
 
         Returns:
             Both hands; an absent hand has `present` False.
@@ -188,10 +198,11 @@ class HandEstimator:
             InputError: image, camera and hand length do not fit together.
         """
         _check(image, camera, hand_length_m)
-        masks, boxes = self.segment(image, truth)
+        remembered = None if previous is None else np.array([hand.present for hand in previous.hands])
+        masks, boxes = self.segment(image, truth, remembered)
         hands = [HandPose(present=False), HandPose(present=False)]
         if boxes.present.any():
-            masks, boxes, look = self.find_joints(image, masks, boxes, camera, truth)
+            masks, boxes, look = self.find_joints(image, masks, boxes, camera, truth, remembered)
         if boxes.present.any():
             sides = look.sides
             canonical = self.lift(look, truth)
@@ -203,8 +214,15 @@ class HandEstimator:
                 hands[side] = _hand_pose(boxes, look, canonical[i], pose, i)
         return TwoHandPose(hands[0], hands[1], camera, masks, index, time_s)
 
-    def segment(self, image: np.ndarray, truth: StageTruth = NO_TRUTH) -> tuple[np.ndarray, HandBoxes]:
+    def segment(
+        self, image: np.ndarray, truth: StageTruth = NO_TRUTH, remembered: np.ndarray | None = None
+    ) -> tuple[np.ndarray, HandBoxes]:
         """Stage 1, HandSegNet: whose pixel is it, where are the hands, are they there.
+
+        Args:
+            image: (H, W, 3).
+            truth: what replaces stages.
+            remembered: (2,) bool, see `assign_sides`.
 
         Returns:
             (H, W) masks 0 background, 1 left, 2 right; and the boxes.
@@ -214,7 +232,10 @@ class HandEstimator:
         if masks is None or boxes is None:
             seg_logits, energies, scores = self.hand_maps(image)
             if boxes is None:
-                boxes = boxes_from_energy(energies, size, scores, truth.present, self.threshold)
+                threshold: float | np.ndarray = self.threshold
+                if self.card.judge and remembered is not None:
+                    threshold = np.where(remembered, REMEMBERED_THRESHOLD, threshold)
+                boxes = boxes_from_energy(energies, size, scores, truth.present, threshold)
             if masks is None:
                 masks = masks_from_logits(seg_logits, size, boxes.present)
         return masks, boxes
@@ -249,6 +270,7 @@ class HandEstimator:
         boxes: HandBoxes,
         camera: PinholeCamera,
         truth: StageTruth = NO_TRUTH,
+        remembered: np.ndarray | None = None,
     ) -> tuple[np.ndarray, HandBoxes, Look]:
         """Stages 2 and 3: look at every box, decide whose hands they are (`inference.sides`), and look again where it
         helps (`SECOND_LOOK_IOU`). With true boxes, maps or joints it looks just once, with a true `present` it does not
@@ -259,6 +281,7 @@ class HandEstimator:
             boxes: estimated or true ones.
             camera: of the image.
             truth: what replaces stages.
+            remembered: (2,) bool, see `assign_sides`.
 
         Returns:
             Masks and boxes as they came, or corrected; and the last look at every hand.
@@ -268,7 +291,7 @@ class HandEstimator:
             return masks, boxes, look
         again = np.zeros(len(look.sides), bool)
         if self.card.judge and truth.present is None:
-            source, scores, look = self.judge(boxes, look)
+            source, scores, look = self.judge(boxes, look, remembered)
             corrected = corrected_masks(masks, source, boxes.boxes_px) if truth.masks is None else masks
             again = np.full(len(look.sides), corrected is not masks)
             boxes_px = np.where((source >= 0)[:, None], boxes.boxes_px[source], np.nan)
@@ -304,12 +327,15 @@ class HandEstimator:
         joints_px, joint_scores = self.read_out(heatmaps, crops, truth)
         return Look(crops, heatmaps, joints_px, joint_scores, hand_logits)
 
-    def judge(self, boxes: HandBoxes, look: Look) -> tuple[np.ndarray, np.ndarray, Look]:
+    def judge(
+        self, boxes: HandBoxes, look: Look, remembered: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, Look]:
         """Which candidate is which hand.
 
         Args:
             boxes: the candidates, with HandSegNet's scores of both sides.
             look: at the candidates.
+            remembered: (2,) bool, see `assign_sides`.
 
         Returns:
             source (2,) as `assign_sides` gives it; scores (2,) 0..1, HandSegNet's for absent hands; and the look at the
@@ -324,7 +350,7 @@ class HandEstimator:
             turned[look.sides[doubtful]] = mirrored.hand_logits
             looks |= {(1 - side, side): mirrored.rows([i]) for i, side in enumerate(look.sides[doubtful])}
         one_place = len(look.sides) == 2 and in_one_place(look.joints_px, boxes.boxes_px)
-        source, answer = assign_sides(boxes.scores, own, turned, one_place=one_place)
+        source, answer = assign_sides(boxes.scores, own, turned, one_place=one_place, remembered=remembered)
         scores = np.where(source >= 0, 1 / (1 + np.exp(-np.nan_to_num(answer))), boxes.scores)
         remaining = [looks[side, source[side]] for side in np.flatnonzero(source >= 0)]
         return source, scores, Look.joined(remaining) if remaining else look.rows([])

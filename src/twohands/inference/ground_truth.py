@@ -110,8 +110,8 @@ class TruthfulEstimator:
         self.stages = stages
         self._targets = targets or HeatmapTargets()
 
-    def __call__(self, sample: HandSample) -> TwoHandPose:
-        """Estimates one sample.
+    def __call__(self, sample: HandSample, previous: TwoHandPose | None = None) -> TwoHandPose:
+        """Estimates one sample; `previous` is what was said of the frame before it, see `HandEstimator.estimate`.
 
         Raises:
             InputError: as `stage_truth`.
@@ -119,7 +119,7 @@ class TruthfulEstimator:
         truth = stage_truth(sample, self.stages)
         if "heatmaps" in self.stages:
             truth = replace(truth, heatmaps=self._true_heatmaps(sample, truth))
-        return self.estimator.estimate(sample.image, sample.camera, hand_lengths_m(sample), truth)
+        return self.estimator.estimate(sample.image, sample.camera, hand_lengths_m(sample), truth, previous=previous)
 
     def _true_heatmaps(self, sample: HandSample, truth: StageTruth) -> np.ndarray | None:
         """(2, 21, M, M) maps of the crops that the pipeline cuts from the true boxes; zeros for an absent hand."""

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 
 from twohands.errors import InputError
-from twohands.synth.backgrounds import Look, procedural_picture
+from twohands.synth.backgrounds import Background, Look, procedural_picture
 from twohands.synth.panoramas import (
     Surroundings,
     is_panorama,
@@ -327,6 +327,17 @@ class _Film:
         x, y = int((width - w) * self.centre[0]), int((height - h) * self.centre[1])
         shrink = cv2.INTER_AREA if scale > 1 else cv2.INTER_LINEAR
         return cv2.resize(np.ascontiguousarray(picture[y : y + h, x : x + w]), self.size, interpolation=shrink)
+
+
+class RoomBackgrounds:
+    """Single views into procedural rooms, such as are behind sequences: every one another room."""
+
+    name = "rooms"
+    unreadable = ()
+
+    def sample(self, rng: np.random.Generator, camera: PinholeCamera) -> Background:
+        """A random background for a camera."""
+        return Background(_Room(rng, 1.0, camera, Look(rng)).frame(0))
 
 
 class _StillView:

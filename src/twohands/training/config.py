@@ -41,8 +41,9 @@ class DataConfig:
     """Seed of sources that make their pictures."""
     backgrounds: str = ""
     """Folders of photographs to put behind rendered hands, separated by commas; procedural backgrounds if empty."""
-    procedural: float = 0.3
-    """Share of procedural backgrounds among the photographs; the folders share the rest equally."""
+    procedural: float = 0.4
+    """Share of procedural backgrounds, flat pictures and rooms alike, among the photographs; the folders share the
+    rest equally."""
     clutter: float = 0.0
     """Share of backgrounds with things laid over that could be taken for hands (`synth.clutter`)."""
     empty: float = 0.04

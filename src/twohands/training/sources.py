@@ -84,9 +84,10 @@ def _synthetic(spec: DataConfig) -> SampleSource:
 def _backgrounds(spec: DataConfig) -> Backgrounds:
     """What to put behind rendered hands."""
     from twohands.synth.backgrounds import BackgroundFolder, MixedBackgrounds, ProceduralBackgrounds
+    from twohands.synth.clips import RoomBackgrounds
     from twohands.synth.clutter import ClutteredBackgrounds
 
-    backgrounds: Backgrounds = ProceduralBackgrounds()
+    backgrounds: Backgrounds = MixedBackgrounds((ProceduralBackgrounds(), RoomBackgrounds()), (0.5, 0.5))
     folders = [BackgroundFolder(Path(name.strip())) for name in spec.backgrounds.split(",") if name.strip()]
     if folders:
         share = (1 - spec.procedural) / len(folders)
