@@ -12,7 +12,8 @@ from twohands.geometry.canonical import canonical_from_camera
 from twohands.geometry.rotation import rotation_about_z
 from twohands.geometry.segmentation import HandBoxes, network_input
 from twohands.inference.engine import Networks
-from twohands.inference.estimator import NO_TRUTH, HandEstimator, Look, StageTruth, joint_boxes
+from twohands.inference.estimator import NO_TRUTH, HandEstimator, StageTruth
+from twohands.inference.looks import Look, joint_boxes
 from twohands.skeleton import LEFT, RIGHT
 from twohands.types import HandPose, PinholeCamera
 

@@ -7,7 +7,6 @@ stage is studied alone and how the error budget is drawn up.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,7 +18,6 @@ from twohands.geometry.boxes import (
     box_from_points,
     box_iou,
     image_from_rolled,
-    mirrored_columns,
     perspective_crop,
     square_crop,
 )
@@ -40,6 +38,7 @@ from twohands.geometry.segmentation import (
     unmirrored,
 )
 from twohands.inference.engine import Networks, load_networks
+from twohands.inference.looks import SMALLEST_BOX_PX, Look, joint_boxes, mirror_crop
 from twohands.inference.read_out import read_joints
 from twohands.inference.sides import (
     CANDIDATE_THRESHOLD,
@@ -63,7 +62,6 @@ Ours; the paper looks once. It concerns a fifth of the hands. On 160 test images
 92 % within 1.5 degrees to 94 %, and the mean camera-space error from 18.4 to 17.5 mm; a second look at all hands gives
 no more.
 """
-SMALLEST_BOX_PX = 8.0
 MEASURED = ("joints_px", "joint_scores")
 """What `HandEstimator.look_around` takes the mean of, in `Look`."""
 METHOD = "all-joints"
@@ -91,52 +89,6 @@ class StageTruth:
 
 
 NO_TRUTH = StageTruth()
-
-
-@dataclass(frozen=True, slots=True)
-class Look:
-    """What PoseNet2D sees in B crops.
-
-    Attributes:
-        crops: B of them.
-        heatmaps: (B, 21 + cues, M, M).
-        joints_px: (B, 21, 2) pixels of the picture.
-        joint_scores: (B, 21) 0..1.
-        hand_logits: (B,) log-odds that a crop shows a hand of its side.
-    """
-
-    crops: list[HandCrop]
-    heatmaps: np.ndarray
-    joints_px: np.ndarray
-    joint_scores: np.ndarray
-    hand_logits: np.ndarray
-
-    @property
-    def sides(self) -> np.ndarray:
-        """(B,) LEFT or RIGHT of every crop."""
-        return np.array([crop.side for crop in self.crops], int)
-
-    def rows(self, chosen: Sequence[int]) -> Look:
-        """Some of the crops."""
-        rows = np.asarray(chosen, int)
-        return Look([self.crops[i] for i in rows], *(values[rows] for values in self._arrays()))
-
-    def replaced(self, rows: np.ndarray, other: Look) -> Look:
-        """The same, with another look at some of the crops."""
-        order = np.arange(len(self.crops))
-        order[rows] = len(order) + np.arange(len(rows))
-        return Look.joined([self, other]).rows(order.tolist())
-
-    @staticmethod
-    def joined(looks: Sequence[Look]) -> Look:
-        """One after the other; at least one."""
-        if len(looks) == 1:
-            return looks[0]
-        arrays = zip(*(look._arrays() for look in looks), strict=True)
-        return Look([crop for look in looks for crop in look.crops], *(np.concatenate(parts) for parts in arrays))
-
-    def _arrays(self) -> tuple[np.ndarray, ...]:
-        return self.heatmaps, self.joints_px, self.joint_scores, self.hand_logits
 
 
 class HandEstimator:
@@ -448,30 +400,6 @@ class HandEstimator:
         """Stage 5: canonical joints (B, 21, 3) and joints in pixels (B, 21, 2) -> metres in camera space."""
         weights = range_weights(joint_scores)
         return project_global(canonical, joints_px, camera, lengths_m, method=METHOD, weights=weights)
-
-
-def mirror_crop(crop: HandCrop) -> HandCrop:
-    """The crop as that of a hand of the other side."""
-    from_mirrored = mirrored_columns(crop.image.shape[1])
-    image = np.ascontiguousarray(crop.image[:, ::-1])
-    return HandCrop(image, crop.image_from_crop @ from_mirrored, 1 - crop.side, mirrored=not crop.mirrored)
-
-
-def joint_boxes(joints_px: np.ndarray, image_size: tuple[int, int], otherwise_px: np.ndarray) -> np.ndarray:
-    """Tight boxes of hands' joints within the picture.
-
-    Args:
-        joints_px: (B, 21, 2) pixels.
-        image_size: (H, W) of the picture.
-        otherwise_px: (B, 4) u0, v0, u1, v1 for hands whose joints span less than `SMALLEST_BOX_PX` of the picture.
-
-    Returns:
-        (B, 4) u0, v0, u1, v1.
-    """
-    limits = np.array(image_size[::-1], np.float64)
-    low, high = (np.clip(corner(joints_px, axis=1), 0, limits) for corner in (np.min, np.max))
-    large = (high - low >= SMALLEST_BOX_PX).all(axis=1)
-    return np.where(large[:, None], np.concatenate([low, high], axis=1), otherwise_px)
 
 
 def _check(image: np.ndarray, camera: PinholeCamera, hand_length_m: float | np.ndarray) -> None:

@@ -1,0 +1,84 @@
+"""What PoseNet2D sees: crops of hands and what was read from them, kept, chosen and exchanged together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from twohands.geometry.boxes import mirrored_columns
+from twohands.types import HandCrop
+
+SMALLEST_BOX_PX = 8.0
+"""Where the joints of a hand span less than this of the picture, there is nothing to see."""
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What PoseNet2D sees in B crops.
+
+    Attributes:
+        crops: B of them.
+        heatmaps: (B, 21 + cues, M, M).
+        joints_px: (B, 21, 2) pixels of the picture.
+        joint_scores: (B, 21) 0..1.
+        hand_logits: (B,) log-odds that a crop shows a hand of its side.
+    """
+
+    crops: list[HandCrop]
+    heatmaps: np.ndarray
+    joints_px: np.ndarray
+    joint_scores: np.ndarray
+    hand_logits: np.ndarray
+
+    @property
+    def sides(self) -> np.ndarray:
+        """(B,) LEFT or RIGHT of every crop."""
+        return np.array([crop.side for crop in self.crops], int)
+
+    def rows(self, chosen: Sequence[int]) -> Look:
+        """Some of the crops."""
+        rows = np.asarray(chosen, int)
+        return Look([self.crops[i] for i in rows], *(values[rows] for values in self._arrays()))
+
+    def replaced(self, rows: np.ndarray, other: Look) -> Look:
+        """The same, with another look at some of the crops."""
+        order = np.arange(len(self.crops))
+        order[rows] = len(order) + np.arange(len(rows))
+        return Look.joined([self, other]).rows(order.tolist())
+
+    @staticmethod
+    def joined(looks: Sequence[Look]) -> Look:
+        """One after the other; at least one."""
+        if len(looks) == 1:
+            return looks[0]
+        arrays = zip(*(look._arrays() for look in looks), strict=True)
+        return Look([crop for look in looks for crop in look.crops], *(np.concatenate(parts) for parts in arrays))
+
+    def _arrays(self) -> tuple[np.ndarray, ...]:
+        return self.heatmaps, self.joints_px, self.joint_scores, self.hand_logits
+
+
+def mirror_crop(crop: HandCrop) -> HandCrop:
+    """The crop as that of a hand of the other side."""
+    from_mirrored = mirrored_columns(crop.image.shape[1])
+    image = np.ascontiguousarray(crop.image[:, ::-1])
+    return HandCrop(image, crop.image_from_crop @ from_mirrored, 1 - crop.side, mirrored=not crop.mirrored)
+
+
+def joint_boxes(joints_px: np.ndarray, image_size: tuple[int, int], otherwise_px: np.ndarray) -> np.ndarray:
+    """Tight boxes of hands' joints within the picture.
+
+    Args:
+        joints_px: (B, 21, 2) pixels.
+        image_size: (H, W) of the picture.
+        otherwise_px: (B, 4) u0, v0, u1, v1 for hands whose joints span less than `SMALLEST_BOX_PX` of the picture.
+
+    Returns:
+        (B, 4) u0, v0, u1, v1.
+    """
+    limits = np.array(image_size[::-1], np.float64)
+    low, high = (np.clip(corner(joints_px, axis=1), 0, limits) for corner in (np.min, np.max))
+    large = (high - low >= SMALLEST_BOX_PX).all(axis=1)
+    return np.where(large[:, None], np.concatenate([low, high], axis=1), otherwise_px)
