@@ -37,7 +37,7 @@ from twohands.evaluation.summary import markdown_table
 from twohands.geometry.projection import Method, project_global
 from twohands.inference.budget import STUDIES
 from twohands.inference.engine import Networks, load_networks
-from twohands.inference.estimator import NO_TRUTH, SECOND_LOOK_IOU, HandEstimator, StageTruth
+from twohands.inference.estimator import NO_TRUTH, RAY_SHARE, SECOND_LOOK_IOU, HandEstimator, StageTruth
 from twohands.inference.ground_truth import HeatmapTargets, TruthfulEstimator
 from twohands.inference.smoothing_sweep import smoothing_sweep
 from twohands.inference.weights import DEFAULT_PRESET, PictureLook, WeightsCard, preset_folder, weights_id
@@ -220,6 +220,13 @@ def looking(
     return estimator
 
 
+def drawing(networks: Networks, card: WeightsCard, ray_share: float) -> HandEstimator:
+    """A pipeline that draws joints farther to where they are seen, or less far."""
+    estimator = HandEstimator(networks, card)
+    estimator.ray_share = ray_share
+    return estimator
+
+
 def in_words(looks: Sequence[PictureLook]) -> str:
     """HandSegNet's further looks, for a reader."""
     sizes = (f"{look.size[0]}x{look.size[1]}{', mirrored' if look.mirrored else ''}" for look in looks)
@@ -263,6 +270,15 @@ def ablations(complete: TruthfulEstimator, floating: Networks | None) -> list[Ab
                 "key bone": TruthfulEstimator(OtherSolver(networks, card, "keybone")),
                 "all joints alike": TruthfulEstimator(OtherSolver(networks, card, "all-joints")),
                 "all joints, weighted": complete,
+            },
+        ),
+        Ablation(
+            "Joints drawn to their lines of sight",
+            "Ours: PoseNet2D's joints correct PoseNet3D's across the line of sight, by so much. The paper: not at all.",
+            {
+                "0": TruthfulEstimator(drawing(networks, card, 0.0)),
+                f"{RAY_SHARE:g}": complete,
+                "1": TruthfulEstimator(drawing(networks, card, 1.0)),
             },
         ),
         Ablation(

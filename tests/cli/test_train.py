@@ -104,8 +104,8 @@ def test_the_segmentation_of_a_preset_is_that_of_the_pipeline(tmp_path):
     shutil.copy(preset / "hand_seg_net.onnx", tmp_path)
     image = read_image(list_images(examples_folder())[1])  # with both hands
     masks, boxes = estimator.segment(image)
-    (found,) = train.open_segmentation(preset / "hand_seg_net.onnx")([image], [boxes.present])
+    (found,) = train.open_segmentation(preset / "hand_seg_net.onnx")([image])
     np.testing.assert_array_equal(found.classes, masks)
     np.testing.assert_array_equal(found.boxes_px, boxes.boxes_px)
-    (alone,) = train.open_segmentation(tmp_path / "hand_seg_net.onnx")([image], [boxes.present])
+    (alone,) = train.open_segmentation(tmp_path / "hand_seg_net.onnx")([image])
     assert (alone.classes != masks).mean() < 0.01

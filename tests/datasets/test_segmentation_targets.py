@@ -34,6 +34,15 @@ def test_segmentation_target_fits_pictures_in_as_inference_does():
     assert np.allclose(found.boxes_px[LEFT], hand_box(original, LEFT) + np.array([0, top, 0, top]), atol=1e-4)
 
 
+def test_a_hand_of_which_nothing_is_seen_is_not_there():
+    """Named case: hands behind the person's own head were once asked for."""
+    original = sample()
+    labels = np.where(hand_classes(original.labels) == 1 + RIGHT, 0, original.labels)
+    found = segmentation_target(dataclasses.replace(original, labels=labels), 270, 480)
+    assert found.present.tolist() == [True, False]
+    np.testing.assert_array_equal(found.boxes_px[RIGHT], 0)
+
+
 def test_segmentation_target_needs_labels():
     with pytest.raises(DataFormatError, match="needs part labels"):
         segmentation_target(dataclasses.replace(sample(), labels=None), 64, 96)

@@ -9,10 +9,11 @@ import pytest
 from benchmarks import pipeline_ablations as pa
 from tests.builders import make_samples
 from tests.datasets import fakes
-from tests.oracles import UNUSED, drawn_hands, full_truth, make_card, write_tiny_weights
+from tests.oracles import UNUSED, Oracle, drawn_hands, full_truth, make_card, write_tiny_weights
 
 from twohands.cli.main import main as twohands
 from twohands.evaluation.completion import complete_hand, hand_lengths_m
+from twohands.geometry.camera import project
 from twohands.geometry.heatmaps import decode_argmax
 from twohands.inference.budget import STUDIES, solved_again
 from twohands.inference.engine import Networks
@@ -124,6 +125,21 @@ def test_the_key_bone_is_that_of_the_error_budget():
     np.testing.assert_allclose(key_bone.joints_m, again.joints_m, atol=1e-12)
 
 
+def test_drawn_all_the_way_the_joints_are_seen_where_posenet2d_says():
+    sample, apart = drawn_hands(4), []
+    oracle = Oracle(sample, CARD)
+    noise = np.random.default_rng(0).normal(0, 0.05, (2, 21, 3))
+
+    def doubtful(maps):
+        return oracle.pose_net_3d(maps) + noise
+
+    for share in (0.0, 1.0):
+        networks = dataclasses.replace(oracle.estimator.networks, pose_net_3d=doubtful)
+        hands = pa.drawing(networks, CARD, share).estimate(sample.image, sample.camera).hands
+        apart.append([np.abs(project(hand.joints_m, sample.camera) - hand.joints_px).max() for hand in hands])
+    assert min(apart[0]) > 1 and max(apart[1]) < 0.5  # pixels; the joints' scores are just below 1
+
+
 def test_looks_at_a_picture(tmp_path):
     """The tiny networks' joints fill another box than HandSegNet's, so the rule as shipped looks twice here as well."""
     shipped = HandEstimator.from_preset(write_tiny_weights(tmp_path))
@@ -163,7 +179,7 @@ def test_tables_are_left_out_where_the_weights_do_not_have_it():
         return [ablation.title for ablation in found]
 
     looks = ["Second look", "More looks at the picture", "More looks at a hand"]
-    always = ["Read-out of the heatmaps", "Range in closed form", *looks]
+    always = ["Read-out of the heatmaps", "Range in closed form", "Joints drawn to their lines of sight", *looks]
     assert titles(CARD) == always
     assert titles(make_card(judge=True)) == [*always, "Judge"]
     assert titles(CARD, dataclasses.replace(UNUSED, runtime="float")) == [*always, "Arithmetic"]

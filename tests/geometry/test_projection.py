@@ -9,8 +9,14 @@ from tests.builders import CENTRED_CAMERA, OFF_CENTRE_CAMERA, random_hands, sees
 
 from twohands.errors import InputError
 from twohands.geometry.camera import project, unproject
-from twohands.geometry.canonical import canonical_from_camera
-from twohands.geometry.projection import canonical_xy_from_rays, consistent_joints_px, project_global, range_weights
+from twohands.geometry.canonical import camera_from_canonical, canonical_from_camera
+from twohands.geometry.projection import (
+    canonical_xy_from_rays,
+    consistent_joints_px,
+    drawn_to_rays,
+    project_global,
+    range_weights,
+)
 from twohands.skeleton import LITTLE_MCP, ROOT, WRIST
 from twohands.types import PinholeCamera
 
@@ -337,3 +343,34 @@ def test_weights_keep_a_doubtful_finger_out_of_the_range():
         for w in (None, range_weights(scores))
     )
     assert weighted.max() < 0.02 * alike.max() and (weighted < alike).all()
+
+
+def test_an_exact_pose_is_not_drawn_anywhere(to, scene):
+    camera, joints_m, joints_px, length, canonical = scene
+    radius = np.linalg.norm(joints_m[:, ROOT], axis=-1)
+    drawn = drawn_to_rays(to(canonical), to(joints_px), camera, to(length), to(radius), 0.7)
+    np.testing.assert_allclose(np.asarray(drawn), canonical, atol=1e-9)
+
+
+def test_joints_are_drawn_to_where_they_are_seen_and_keep_their_distance(to, noisy):
+    """The whole way: seen at the given pixels. Half of it: half-way between."""
+    _, joints_px, length, canonical = noisy
+    pose = project_global(canonical, joints_px, CENTRED_CAMERA, length)
+    valid = pose.valid
+    given = to(joints_px), CENTRED_CAMERA, to(length), to(pose.radius_m)
+    drawn, half = (np.asarray(drawn_to_rays(to(canonical), *given, share)) for share in (1.0, 0.5))
+    there = camera_from_canonical(drawn, length, pose.radius_m, pose.theta, pose.phi)
+    np.testing.assert_allclose(project(there, CENTRED_CAMERA)[valid], joints_px[valid], atol=1e-6)
+    before, after = (np.linalg.norm(joints[valid], axis=-1) for joints in (pose.joints_m, there))
+    np.testing.assert_allclose(after, before, rtol=1e-12)
+    np.testing.assert_allclose(half[valid], (drawn + canonical)[valid] / 2, atol=1e-12)
+    np.testing.assert_allclose(drawn[:, ROOT], 0, atol=1e-12)
+
+
+def test_what_is_not_known_is_not_drawn(to, noisy):
+    _, joints_px, length, canonical = (values[:3] for values in noisy)
+    radius, joints_px = np.array([0.4, np.nan, 0.4]), joints_px.copy()
+    joints_px[2, 5], joints_px[0, ROOT] = np.nan, np.nan
+    drawn = np.asarray(drawn_to_rays(to(canonical), to(joints_px), CENTRED_CAMERA, to(length), to(radius), 1.0))
+    same = np.isclose(drawn, canonical, rtol=0, atol=1e-12).all(axis=-1)
+    assert same[:2].all() and same[2, [5, ROOT]].all() and same[2].sum() == 2

@@ -15,6 +15,7 @@ from twohands.datasets.inspect import inspect_dataset
 from twohands.errors import DataFormatError, InputError, TwoHandsError
 from twohands.geometry.canonical import canonical_from_camera
 from twohands.skeleton import ROOT
+from twohands.synth.backgrounds import Background
 from twohands.synth.cache import FrameCache, build_cache
 from twohands.synth.config import WILD, SynthConfig
 from twohands.synth.executors import LocalProcesses
@@ -163,6 +164,27 @@ def test_cache_resumes_and_varies_backgrounds(tmp_path):
     )
     empty = FrameCache(tmp_path / "c", empty_rate=1.0)[0]
     assert not empty.present.any() and not empty.labels.any() and empty.image.std() > 0
+    full, no_arm = cache[0], cache[0].labels == 0
+    np.testing.assert_array_equal(FrameCache(tmp_path / "c", empty_rate=1.0)[0].image[no_arm], full.image[no_arm])
+
+
+def test_cached_frames_are_taken_by_the_camera_of_their_preset(tmp_path):
+    """Named case: frames of the preset wild once had neither blur nor noise. Without a sensor, pictures of flat walls
+    are as flat as the walls; and a person whose arms are taken out stays in the picture."""
+
+    class Wall:
+        name, unreadable = "wall", ()
+
+        def sample(self, rng, camera):
+            return Background(np.full((camera.height, camera.width, 3), 90, np.uint8))
+
+    wild = dataclasses.replace(WILD, width=160, height=90, webcam=1.0, free_view=0.0)
+    for sensor in (0.0, 1.0):
+        build_cache(tmp_path / str(sensor), dataclasses.replace(wild, sensor=sensor), 5, 6)
+    clean, taken = (FrameCache(tmp_path / sensor, Wall(), empty_rate=1.0) for sensor in ("0.0", "1.0"))
+    walls = [(clean[i].image == 90).all(-1) for i in range(6)]
+    assert all(wall.any() for wall in walls) and not all(wall.all() for wall in walls)
+    assert np.mean([taken[i].image[walls[i]].std() for i in range(6)]) > 0.5
 
 
 def test_frames_never_land_in_a_foreign_folder(tmp_path):

@@ -107,7 +107,7 @@ def test_what_a_segmentation_invents_is_no_hand():
     sample = make_sample(np.random.default_rng(0), present=(True, False))
     box = hand_box(sample, 0)
     invented = Segmentation(hand_classes(sample.labels), np.stack([box, box + 5]))
-    batch = pose_batch([sample], tiny_run("pose_net_2d"), (), lambda images, present: [invented])
+    batch = pose_batch([sample], tiny_run("pose_net_2d"), (), lambda images: [invented])
     assert batch["side"].tolist() == [0, 1] and batch["hand"].tolist() == [1.0, 0.0]
     size, crop = batch["image"].shape[1], tiny_run("pose_net_2d").crop
     expected = crop_matrix(box + 5, sample.camera, 1, size, crop)
@@ -159,25 +159,25 @@ def segmented_run(tmp_path_factory):
 
 def test_a_segmenter_answers_for_every_picture(segmented_run):
     segmenter = Segmenter(Path(segmented_run.data.segmentation))
-    found = segmenter([sample.image for sample in SAMPLES], [sample.present for sample in SAMPLES])
+    found = segmenter([sample.image for sample in SAMPLES])
     assert len(found) == len(SAMPLES)
     for sample, answer in zip(SAMPLES, found, strict=True):
         assert answer.classes.shape == sample.image.shape[:2] and answer.classes.max() <= 2
         assert answer.boxes_px.shape == (2, 4)
 
 
-def test_the_judge_is_shown_what_might_be_mistaken_for_a_hand():
-    """At a score of 0.1: far too low for a hand that is there, high enough for one that is not."""
+def test_hands_seen_but_faintly_are_learnt_from():
+    """At a score of 0.1, far too low to be a candidate in use; at 0.01 there is nothing."""
     energies = np.zeros((2, 27, 48), np.float32)
-    energies[:, 5:15, 10:20] = 0.1
+    energies[1, 5:15, 10:20] = 0.1
     seg_logits = np.zeros((3, 27, 48), np.float32)
     seg_logits[2, 5:15, 10:20] = 1.0
-    scores = np.full(2, 0.1)
-    found = segmentation_of(seg_logits, energies, scores, (270, 480), np.array([True, False]))
+    scores = np.array([0.01, 0.1])
+    found = segmentation_of(seg_logits, energies, scores, (270, 480))
     assert np.isnan(found.boxes_px[0]).all()
     np.testing.assert_array_equal(found.boxes_px[1], [100, 50, 200, 150])
     assert (found.classes[60:140, 110:190] == 2).all() and not (found.classes == 1).any()
-    nothing = segmentation_of(seg_logits, energies, scores / 10, (270, 480), np.array([False, False]))
+    nothing = segmentation_of(seg_logits, energies, scores / 10, (270, 480))
     assert np.isnan(nothing.boxes_px).all()
 
 
@@ -186,14 +186,14 @@ def test_crops_follow_the_predicted_boxes_and_masks(segmented_run):
     sample = SAMPLES[0]
     boxes = np.stack([hand_box(sample, side) for side in (0, 1)]) + np.array([3.0, 0.0, 3.0, 0.0])
     classes = np.array([0, 2, 1], np.uint8)[hand_classes(sample.labels)]
-    batch = pose_batch([sample], segmented_run, (), lambda images, present: [Segmentation(classes, boxes)])
+    batch = pose_batch([sample], segmented_run, (), lambda images: [Segmentation(classes, boxes)])
     size = segmented_run.networks.pose_net_2d.crop_size
     assert batch["side"].tolist() == [0, 1]
     for i, side in enumerate((0, 1)):
         expected = crop_matrix(boxes[side], sample.camera, side, size, segmented_run.crop)
         np.testing.assert_allclose(batch["image_from_crop"][i], expected, rtol=1e-5)
     plain_masks = Segmentation(hand_classes(sample.labels), boxes)
-    plain = pose_batch([sample], segmented_run, (), lambda images, present: [plain_masks])
+    plain = pose_batch([sample], segmented_run, (), lambda images: [plain_masks])
     assert torch.equal(batch["joints_px"], plain["joints_px"])
     assert not torch.equal(batch["image"], plain["image"])
 
@@ -202,9 +202,9 @@ def test_the_share_of_predicted_crops_is_as_asked(segmented_run):
     segmenter = Segmenter(Path(segmented_run.data.segmentation))
     asked = []
 
-    def count(images, present):
+    def count(images):
         asked.extend(images)
-        return segmenter(images, present)
+        return segmenter(images)
 
     half = dataclasses.replace(segmented_run, augment=dataclasses.replace(segmented_run.augment, predicted=0.5))
     pose_batch(SAMPLES[:1] * 200, half, [np.random.default_rng(i) for i in range(200)], count)
@@ -219,10 +219,20 @@ def test_the_share_of_predicted_crops_is_as_asked(segmented_run):
 
 
 def test_a_hand_that_was_missed_keeps_its_true_crop(segmented_run):
-    def blind(images, present):
+    def blind(images):
         return [Segmentation(np.zeros(image.shape[:2], np.uint8), np.full((2, 4), np.nan)) for image in images]
 
     assert equal(pose_batch(SAMPLES, segmented_run, (), blind), pose_batch(SAMPLES, segmented_run, ()))
+
+
+def test_a_box_around_something_else_is_not_this_hands(segmented_run):
+    """A tenth of the smaller box's area in common is too little: the hand keeps its true crop."""
+    sample = SAMPLES[0]
+    boxes = np.stack([hand_box(sample, side) for side in (0, 1)])
+    far = boxes + np.array([0.95, 0.0, 0.95, 0.0]) * (boxes[:, [2]] - boxes[:, [0]])
+    wrong = Segmentation(np.zeros(sample.image.shape[:2], np.uint8), far)
+    batch = pose_batch([sample], segmented_run, (), lambda images: [wrong])
+    assert equal(batch, pose_batch([sample], segmented_run, ()))
 
 
 def test_workers_load_the_segmentation_themselves(segmented_run):

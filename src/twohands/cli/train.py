@@ -141,9 +141,8 @@ def open_segmentation(checkpoint: Path) -> Segment:
     # A single look at every picture, like `Segmenter`: the time is the training's.
     estimator = HandEstimator(shipped.networks, dataclasses.replace(shipped.card, further_looks=()))
 
-    def segment(images: Sequence[np.ndarray], present: Sequence[np.ndarray]) -> list[Segmentation]:
-        pictures = zip(images, present, strict=True)
-        return [segmentation_of(*estimator.hand_maps(image), image.shape[:2], here) for image, here in pictures]
+    def segment(images: Sequence[np.ndarray]) -> list[Segmentation]:
+        return [segmentation_of(*estimator.hand_maps(image), image.shape[:2]) for image in images]
 
     return segment
 

@@ -13,6 +13,7 @@ from twohands.errors import InputError
 from twohands.geometry.boxes import (
     apply_homography,
     box_from_points,
+    box_iou,
     image_from_rolled,
     perspective_crop,
     square_crop,
@@ -25,6 +26,8 @@ from twohands.skeleton import N_JOINTS, RIGHT, ROOT, WRIST
 from twohands.types import HandSample, PinholeCamera
 
 MIRROR_X = np.diag([-1.0, 1.0, 1.0])
+LEAST_OVERLAP = 0.1
+"""Intersection over union with the true box below which a predicted one is not this hand's."""
 
 
 @dataclass(frozen=True)
@@ -175,7 +178,7 @@ def pose_target(
     rolled_box = np.asarray(box_from_points(seen, known), np.float64)
     if min(rolled_box[2:] - rolled_box[:2]) < 2:
         return None
-    if predicted is not None and np.isfinite(predicted.boxes_px[side]).all():
+    if predicted is not None and box_iou(box, predicted.boxes_px[side]) > LEAST_OVERLAP:
         rolled_box = _like(rolled_box, box, predicted.boxes_px[side], unrolled)
         rolled_from_crop = crop_matrix(rolled_box, sample.camera, side, size, crop)
     else:

@@ -143,6 +143,40 @@ def project_global(
     )
 
 
+def drawn_to_rays(
+    canonical: Array,
+    joints_px: Array,
+    camera: PinholeCamera,
+    hand_length_m: Array | float,
+    radius_m: Array,
+    share: Array | float,
+) -> Array:
+    """A canonical pose whose joints lie nearer to the lines of sight on which they are seen.
+
+    Ours. The canonical pose is an estimate from one picture of the whole hand; across the line of sight each joint's
+    own heatmap knows more. Every joint goes towards the point of its ray at the same distance from the camera. An exact
+    pose stays as it is; with a share of 1 it is seen exactly at `joints_px`.
+
+    Args:
+        canonical, joints_px, camera, hand_length_m: as `project_global`.
+        radius_m: (...) distance of the root from the pinhole, metres.
+        share: (..., 21) or a number, of the way to go, 0..1.
+
+    Returns:
+        (..., 21, 3) canonical pose with the root at 0, for the same hand length and radius; as it was where the radius
+        or a joint's ray is unknown or the ray not in front of the centred camera.
+    """
+    xp, canonical, joints_px, length, radius, part = float_arrays(canonical, joints_px, hand_length_m, radius_m, share)
+    known, rays, _, _ = _centred_rays(xp, unproject(joints_px, camera), "exact")
+    usable = known & (rays[..., 2] > 0) & known[..., ROOT : ROOT + 1] & xp.isfinite(radius)[..., None]
+    zero = xp.zeros_like(radius)
+    away = xp.stack([zero, zero, _finite_or(xp, radius, 1.0)], axis=-1)[..., None, :] / length[..., None, None]
+    placed = canonical + away
+    rays = rays / xp.linalg.vector_norm(rays, axis=-1)[..., None]
+    on_ray = rays * xp.linalg.vector_norm(placed, axis=-1)[..., None] - away
+    return xp.where(usable[..., None], canonical + part[..., None] * (on_ray - canonical), canonical)
+
+
 def consistent_joints_px(
     canonical: Array,
     joints_px: Array,

@@ -22,9 +22,9 @@ from twohands.geometry.boxes import (
     square_crop,
 )
 from twohands.geometry.camera import unproject
-from twohands.geometry.canonical import unrolled_canonical
+from twohands.geometry.canonical import camera_from_canonical, unrolled_canonical
 from twohands.geometry.composition import compose_hand_input
-from twohands.geometry.projection import project_global, range_weights
+from twohands.geometry.projection import drawn_to_rays, project_global, range_weights
 from twohands.geometry.rotation import rotation_about_z
 from twohands.geometry.segmentation import (
     PRESENCE_THRESHOLD,
@@ -61,6 +61,12 @@ SECOND_LOOK_IOU = 0.65
 Ours; the paper looks once. It concerns a fifth of the hands. On 160 test images it brought the root's direction from
 92 % within 1.5 degrees to 94 %, and the mean camera-space error from 18.4 to 17.5 mm; a second look at all hands gives
 no more.
+"""
+RAY_SHARE = 0.5
+"""How far the joints are drawn to the lines of sight on which PoseNet2D sees them (`drawn_to_rays`), times their score.
+
+Ours; the paper uses the 2D joints for the root's place alone. On 1,000 test images it brought the mean camera-space
+error from 16.8 to 16.1 mm and the canonical AUC from .947 to .952; more brings little, and bones of wrong length.
 """
 MEASURED = ("joints_px", "joint_scores")
 """What `HandEstimator.look_around` takes the mean of, in `Look`."""
@@ -104,6 +110,7 @@ class HandEstimator:
         self.card = card
         self.threshold = CANDIDATE_THRESHOLD if card.judge else PRESENCE_THRESHOLD
         self.second_look_iou = SECOND_LOOK_IOU
+        self.ray_share = RAY_SHARE
 
     @classmethod
     def from_preset(cls, preset: str | Path = DEFAULT_PRESET, threads: int = 0) -> HandEstimator:
@@ -158,10 +165,16 @@ class HandEstimator:
         if boxes.present.any():
             sides = look.sides
             canonical = self.lift(look, truth)
-            if truth.heatmaps is None and truth.joints_px is None and truth.canonical is None:
-                look, canonical = self.look_around(image, masks, look, canonical, camera)
             lengths_m = np.broadcast_to(hand_length_m, (2,))[sides]
+            estimated = truth.heatmaps is None and truth.joints_px is None and truth.canonical is None
+            if estimated:
+                look, canonical = self.look_around(image, masks, look, canonical, camera)
             pose = self.place(canonical, look.joints_px, look.joint_scores, camera, lengths_m)
+            if estimated:
+                share = self.ray_share * look.joint_scores
+                canonical = drawn_to_rays(canonical, look.joints_px, camera, lengths_m, pose.radius_m, share)
+                joints_m = camera_from_canonical(canonical, lengths_m, pose.radius_m, pose.theta, pose.phi)
+                pose = replace(pose, joints_m=joints_m)
             for i, side in enumerate(sides):
                 hands[side] = _hand_pose(boxes, look, canonical[i], pose, i)
         return TwoHandPose(hands[0], hands[1], camera, masks, index, time_s)

@@ -28,6 +28,7 @@ from twohands.synth.production import check_room
 from twohands.synth.render.choice import RendererName, open_fabrics, renderer_version
 from twohands.synth.scene import instance_rng
 from twohands.synth.seeds import stream_seed
+from twohands.synth.sensor import expose, sample_sensor
 from twohands.synth.stream import SyntheticStream, labelled
 from twohands.types import HandSample, PinholeCamera
 
@@ -164,7 +165,8 @@ class FrameCache:
         backgrounds: source of backgrounds; procedural if None.
         frames: (start, stop) of the frames to use, to split training from validation; all if None.
         variants: how many samples one frame gives.
-        empty_rate: share of samples that show the background alone, so that a network learns what no hand looks like.
+        empty_rate: share of samples without hands, so that a network learns what none looks like: the background and,
+            where there is one, the person's body, its arms taken out.
 
     Raises:
         DataFormatError: the folder holds no finished cache.
@@ -181,6 +183,7 @@ class FrameCache:
         try:
             manifest = json.loads((folder / MANIFEST_FILE).read_text())
             self.seed = int(manifest["seed"])
+            self._sensor = float(manifest["config"].get("sensor", 0.0))
             self._arrays = {
                 name: np.load(folder / f"{name}.npy", mmap_mode="r")
                 for name in ("rgba", "labels", "joints", "present", "intrinsics")
@@ -218,32 +221,16 @@ class FrameCache:
         fx, fy, cx, cy = map(float, arrays["intrinsics"][at])
         camera = PinholeCamera(fx, fy, cx, cy, self._width, self._height)
         background = self.backgrounds.sample(rng, camera).picture
+        colour, alpha = np.ascontiguousarray(rgba[..., :3]), rgba[..., 3]
         if rng.random() < self.empty_rate:
-            nothing = np.full((2, 22, 3), np.nan)
-            absent = np.zeros(2, bool)
-            return self._sample(background, np.zeros_like(labels), nothing, absent, camera, index)
-        colour = vary_arms(np.ascontiguousarray(rgba[..., :3]), labels, rng)
-        return self._sample(
-            compose(colour, rgba[..., 3], background),
-            labels,
-            np.asarray(arrays["joints"][at], np.float64),
-            np.asarray(arrays["present"][at]),
-            camera,
-            index,
-        )
-
-    def _sample(
-        self,
-        image: np.ndarray,
-        labels: np.ndarray,
-        joints_m: np.ndarray,
-        present: np.ndarray,
-        camera: PinholeCamera,
-        index: int,
-    ) -> HandSample:
+            image = compose(colour, np.where(labels > 0, np.uint8(0), alpha), background)
+            labels, joints_m, present = np.zeros_like(labels), np.full((2, 22, 3), np.nan), np.zeros(2, bool)
+        else:
+            image = compose(vary_arms(colour, labels, rng), alpha, background)
+            joints_m, present = np.asarray(arrays["joints"][at], np.float64), np.asarray(arrays["present"][at])
         hand = joints_m[:, 1:]
         return HandSample(
-            image=image,
+            image=expose(image, sample_sensor(self._sensor, rng), rng),
             camera=camera,
             present=present,
             joints_px=project(hand, camera),

@@ -24,7 +24,6 @@ from twohands.datasets.pose_targets import PoseTarget, Segmentation, false_hand,
 from twohands.datasets.segmentation_targets import segmentation_target
 from twohands.errors import InputError
 from twohands.geometry.segmentation import (
-    PRESENCE_THRESHOLD,
     boxes_from_energy,
     hand_scores,
     letterbox,
@@ -41,13 +40,14 @@ from twohands.types import HandSample
 
 Batch = dict[str, Tensor]
 Rngs = Sequence[np.random.Generator]
-Segment = Callable[[Sequence[np.ndarray], Sequence[np.ndarray]], list[Segmentation]]
-"""Masks and boxes of pictures, each (H, W, 3) uint8, for which it is known which hands they show, each (2,) bool."""
+Segment = Callable[[Sequence[np.ndarray]], list[Segmentation]]
+"""Masks and boxes of pictures, each (H, W, 3) uint8."""
 OpenSegmentation = Callable[[Path], Segment]
 """What finds masks and boxes, from a file of HandSegNet."""
-MISTAKE_THRESHOLD = 0.05
-"""HandSegNet's score from which on the judge is shown what was taken for a hand that is not there. In use, only scores
-eight times as high come before it; they are too rare to learn from."""
+FAINT_THRESHOLD = 0.05
+"""HandSegNet's score from which on the pose networks learn from its boxes and masks. In use, only higher scores come
+before them; but mistakes with such scores are too rare for the judge to learn from, and shown faint mistakes alone, it
+takes every faint hand for one."""
 
 
 class SampleSource(Protocol):
@@ -141,7 +141,7 @@ class Segmenter:
         self.net = net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     @torch.inference_mode()
-    def __call__(self, images: Sequence[np.ndarray], present: Sequence[np.ndarray]) -> list[Segmentation]:
+    def __call__(self, images: Sequence[np.ndarray]) -> list[Segmentation]:
         """Masks and boxes, see `Segment`."""
         canvases, places = zip(*(letterbox(image, self.size) for image in images), strict=True)
         inputs = torch.from_numpy(network_input(np.stack(canvases))).contiguous(memory_format=torch.channels_last)
@@ -153,22 +153,20 @@ class Segmenter:
         for i, image in enumerate(images):
             seg_logits, energy = places[i].content(logits[i]), places[i].content(energies[i])
             scores = hand_scores(energy, seg_logits)
-            found.append(segmentation_of(seg_logits, energy, scores, image.shape[:2], present[i]))
+            found.append(segmentation_of(seg_logits, energy, scores, image.shape[:2]))
         return found
 
 
 def segmentation_of(
-    seg_logits: np.ndarray, energies: np.ndarray, scores: np.ndarray, image_size: tuple[int, int], present: np.ndarray
+    seg_logits: np.ndarray, energies: np.ndarray, scores: np.ndarray, image_size: tuple[int, int]
 ) -> Segmentation:
-    """What HandSegNet's maps say, and what they might mistake for a hand (`MISTAKE_THRESHOLD`).
+    """What HandSegNet's maps say, hands that are seen but faintly (`FAINT_THRESHOLD`) included.
 
     Args:
         seg_logits, energies, scores: (3, h, w), (2, h, w) and (2,) as `inference.estimator` has them.
         image_size: (H, W) of the picture.
-        present: (2,) bool, the hands that are really there.
     """
-    threshold = np.where(present, PRESENCE_THRESHOLD, MISTAKE_THRESHOLD)
-    boxes = boxes_from_energy(energies, image_size, scores, threshold=threshold)
+    boxes = boxes_from_energy(energies, image_size, scores, threshold=FAINT_THRESHOLD)
     return Segmentation(masks_from_logits(seg_logits, image_size, boxes.present), boxes.boxes_px)
 
 
@@ -202,7 +200,7 @@ def pose_batch(
     chosen = [i for i in range(len(samples)) if not rngs or rngs[i].random() < shares[i]]
     predicted: dict[int, Segmentation] = {}
     if segment is not None and chosen:
-        found = segment([samples[i].image for i in chosen], [np.asarray(samples[i].present) for i in chosen])
+        found = segment([samples[i].image for i in chosen])
         predicted = dict(zip(chosen, found, strict=True))
     for i, sample in enumerate(samples):
         rng = rngs[i] if rngs else None
