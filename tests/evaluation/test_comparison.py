@@ -38,6 +38,24 @@ def test_visible_only() -> None:
     assert visible.protocol["visible_only"] is True
 
 
+def test_boxes_end_at_the_edge_of_the_picture() -> None:
+    """Named case: the true box of a hand that reaches far outside was once larger than any system can say."""
+    sample = SAMPLES[0]
+    inside = np.array([[10.0 * k + 3, 5.0 * k + 200] for k in range(21)])
+    outside = inside.copy()
+    outside[12] = [-5000, 5000]
+    hands = np.stack([outside, sample.joints_px[1]])
+    pose = perfect_pose(sample)
+
+    def estimate(_: HandSample) -> TwoHandPose:
+        box_px = np.array([0.0, 200.0, 203.0, sample.camera.height])
+        return replace(pose, left=replace(pose.left, box_px=box_px))
+
+    cut = replace(sample, joints_px=hands)
+    compared = compare(predictions_for(estimate, [cut]), [cut])
+    np.testing.assert_allclose(compared.box_iou[0], 1, atol=1e-6)
+
+
 def test_a_hidden_root_still_has_a_range() -> None:
     sample = replace(SAMPLES[0], visible=np.zeros((2, 21), bool))
     report = evaluate(predictions_for(samples=[sample]), [sample], Protocol(visible_only=True))

@@ -179,6 +179,7 @@ class _Labels:
         self.visible = np.ones((count, 2, 21), np.bool_)
         self.scale_2d = np.ones(count)
         self.joints_px = np.full((count, 2, 21, 2), np.nan)
+        self.boxes_px = np.full((count, 2, 4), np.nan)
         self.joints_m = np.full((count, 2, 21, 3), np.nan)
         self.overlaps: list[tuple[m.FloatArray, m.FloatArray]] = []
 
@@ -187,6 +188,9 @@ class _Labels:
         self.scale_2d[index] = REFERENCE_WIDTH_PX / sample.camera.width
         known = sample.valid & sample.present[:, None]  # (2, 21)
         self.joints_px[index] = np.where(known[..., None], sample.joints_px, np.nan)
+        size = sample.camera.width, sample.camera.height
+        inside_px = np.minimum(np.maximum(self.joints_px[index], 0.0), size)
+        self.boxes_px[index] = np.asarray(box_from_points(inside_px))
         self.joints_m[index] = np.where(known[..., None], sample.joints_m, np.nan)
         if sample.visible is not None:
             self.visible[index] = sample.visible
@@ -221,7 +225,6 @@ def _comparison(predictions: Predictions, truth: _Labels, protocol: Protocol) ->
         )
         for align in (spherical_alignment, cartesian_alignment)
     )
-    boxes = np.asarray(box_from_points(truth.joints_px))  # (N, 2, 4)
     pairs = [np.array(arrays) for arrays in zip(*truth.overlaps, strict=True)] or [np.empty((0, 3))] * 2
     return Comparison(
         sources=predictions.sources,
@@ -230,8 +233,8 @@ def _comparison(predictions: Predictions, truth: _Labels, protocol: Protocol) ->
         valid=valid,
         judged=truth.present | protocol.all_hands_labelled,
         range_m=np.linalg.norm(true_roots, axis=-1),
-        overlap=covered_share(boxes),
-        box_iou=np.asarray(box_iou(predictions.box_px.astype(np.float64), boxes)),
+        overlap=covered_share(truth.boxes_px),
+        box_iou=np.asarray(box_iou(predictions.box_px.astype(np.float64), truth.boxes_px)),
         joints_px=joints(by_hand(m.endpoint_errors, predictions.joints_px * scale, truth.joints_px * scale, found)),
         spherical_mm=spherical_mm,
         cartesian_mm=cartesian_mm,

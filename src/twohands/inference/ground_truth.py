@@ -165,5 +165,6 @@ def true_heatmaps(joints_crop_px: np.ndarray, z: np.ndarray, crop_size: int, tar
 
 
 def _true_boxes(sample: HandSample) -> np.ndarray:
-    """(2, 4) tight boxes of the joints of present hands; NaN else."""
-    return np.where(sample.present[:, None], np.asarray(box_from_points(sample.joints_px)), np.nan)
+    """(2, 4) tight boxes of the joints of present hands, within the picture as estimated ones are; NaN else."""
+    inside_px = np.minimum(np.maximum(sample.joints_px, 0.0), sample.image.shape[1::-1])
+    return np.where(sample.present[:, None], np.asarray(box_from_points(inside_px)), np.nan)
