@@ -15,24 +15,24 @@ from twohands.geometry.boxes import box_iou
 from twohands.geometry.segmentation import log_odds
 from twohands.skeleton import ROOT, WRIST
 
-CANDIDATE_THRESHOLD: Final = 0.4
+CANDIDATE_THRESHOLD: Final = 0.3
 """HandSegNet's score (`geometry.segmentation.hand_scores`) from which on PoseNet2D looks at a candidate.
 
 This and the next four were chosen together, with the shipped weights, on generated pictures that are neither trained
 nor tested on, and on the photographs that training puts behind hands.
 """
-TURN_BELOW: Final = -2.0
+TURN_BELOW: Final = -1.0
 """Log-odds of PoseNet2D below which it looks at a candidate's mirror image too: seldom at an egocentric view."""
 SEG_WEIGHT: Final = 0.7
 """Weight of HandSegNet's log-odds in the decision; PoseNet2D's have the rest. HandSegNet sees the person."""
-SEG_LIMIT: Final = 4.0
+SEG_LIMIT: Final = 3.0
 """HandSegNet's log-odds are limited to this size: it may be sure and wrong."""
-TURN_COST: Final = 2.0
+TURN_COST: Final = 1.0
 """Log-odds taken off where a hand is on the other side than HandSegNet says: most often it is right."""
 ONE_PLACE: Final = 0.1
 """Two candidates whose wrists and root joints are nearer to each other than this share of the larger box are in one
 place."""
-ONE_PLACE_COST: Final = 0.3
+ONE_PLACE_COST: Final = 1.0
 """Log-odds taken off where two hands are in one place: of 58 such pairs in generated pictures 16 were two hands."""
 REMEMBERED_THRESHOLD: Final = 0.1
 """As `CANDIDATE_THRESHOLD`, for a hand that was there one frame of a video before."""
