@@ -126,6 +126,7 @@ def test_the_key_bone_is_that_of_the_error_budget():
 
 
 def test_drawn_all_the_way_the_joints_are_seen_where_posenet2d_says():
+    """All but the wrist."""
     sample, apart = drawn_hands(4), []
     oracle = Oracle(sample, CARD)
     noise = np.random.default_rng(0).normal(0, 0.05, (2, 21, 3))
@@ -136,7 +137,7 @@ def test_drawn_all_the_way_the_joints_are_seen_where_posenet2d_says():
     for share in (0.0, 1.0):
         networks = dataclasses.replace(oracle.estimator.networks, pose_net_3d=doubtful)
         hands = pa.drawing(networks, CARD, share).estimate(sample.image, sample.camera).hands
-        apart.append([np.abs(project(hand.joints_m, sample.camera) - hand.joints_px).max() for hand in hands])
+        apart.append([np.abs(project(hand.joints_m, sample.camera) - hand.joints_px)[1:].max() for hand in hands])
     assert min(apart[0]) > 1 and max(apart[1]) < 0.5  # pixels; the joints' scores are just below 1
 
 

@@ -353,17 +353,21 @@ def test_an_exact_pose_is_not_drawn_anywhere(to, scene):
 
 
 def test_joints_are_drawn_to_where_they_are_seen_and_keep_their_distance(to, noisy):
-    """The whole way: seen at the given pixels. Half of it: half-way between."""
+    """The whole way: seen at the given pixels. Half of it: half-way between. The wrist keeps its bone's length."""
     _, joints_px, length, canonical = noisy
     pose = project_global(canonical, joints_px, CENTRED_CAMERA, length)
     valid = pose.valid
     given = to(joints_px), CENTRED_CAMERA, to(length), to(pose.radius_m)
     drawn, half = (np.asarray(drawn_to_rays(to(canonical), *given, share)) for share in (1.0, 0.5))
     there = camera_from_canonical(drawn, length, pose.radius_m, pose.theta, pose.phi)
-    np.testing.assert_allclose(project(there, CENTRED_CAMERA)[valid], joints_px[valid], atol=1e-6)
-    before, after = (np.linalg.norm(joints[valid], axis=-1) for joints in (pose.joints_m, there))
+    others = np.arange(21) != WRIST
+    np.testing.assert_allclose(project(there, CENTRED_CAMERA)[valid][:, others], joints_px[valid][:, others], atol=1e-6)
+    before, after = (np.linalg.norm(joints[valid][:, others], axis=-1) for joints in (pose.joints_m, there))
     np.testing.assert_allclose(after, before, rtol=1e-12)
-    np.testing.assert_allclose(half[valid], (drawn + canonical)[valid] / 2, atol=1e-12)
+    np.testing.assert_allclose(half[valid][:, others], ((drawn + canonical) / 2)[valid][:, others], atol=1e-12)
+    bones = [np.linalg.norm(pose[:, WRIST], axis=-1) for pose in (canonical, half, drawn)]
+    np.testing.assert_allclose(bones[1:], [bones[0]] * 2, rtol=1e-12)
+    assert np.abs(drawn - canonical)[valid][:, WRIST].max() > 0.01
     np.testing.assert_allclose(drawn[:, ROOT], 0, atol=1e-12)
 
 

@@ -19,7 +19,7 @@ from twohands.geometry._arrays import float_arrays
 from twohands.geometry.camera import project, unproject
 from twohands.geometry.canonical import camera_from_canonical
 from twohands.geometry.rotation import centring_angles, paper_angles, rotate, rotation_from_angles
-from twohands.skeleton import KEY_BONES, PALM, ROOT
+from twohands.skeleton import KEY_BONES, PALM, ROOT, WRIST
 from twohands.types import Array, GlobalPose, PinholeCamera
 
 Method = Literal["all-joints", "keybone"]
@@ -154,8 +154,9 @@ def drawn_to_rays(
     """A canonical pose whose joints lie nearer to the lines of sight on which they are seen.
 
     Ours. The canonical pose is an estimate from one picture of the whole hand; across the line of sight each joint's
-    own heatmap knows more. Every joint goes towards the point of its ray at the same distance from the camera. An exact
-    pose stays as it is; with a share of 1 it is seen exactly at `joints_px`.
+    own heatmap knows more. Every joint goes towards the point of its ray at the same distance from the camera; the
+    wrist then goes back along its bone to its distance from the root, which is given. An exact pose stays as it is;
+    with a share of 1 all of it but the wrist is seen exactly at `joints_px`.
 
     Args:
         canonical, joints_px, camera, hand_length_m: as `project_global`.
@@ -174,7 +175,11 @@ def drawn_to_rays(
     placed = canonical + away
     rays = rays / xp.linalg.vector_norm(rays, axis=-1)[..., None]
     on_ray = rays * xp.linalg.vector_norm(placed, axis=-1)[..., None] - away
-    return xp.where(usable[..., None], canonical + part[..., None] * (on_ray - canonical), canonical)
+    drawn = xp.where(usable[..., None], canonical + part[..., None] * (on_ray - canonical), canonical)
+    lengths, drawn_lengths = (xp.linalg.vector_norm(pose[..., WRIST, :], axis=-1) for pose in (canonical, drawn))
+    back = lengths / xp.where(drawn_lengths > 0, drawn_lengths, 1.0)
+    wrist = (xp.arange(canonical.shape[-2], device=canonical.device) == WRIST)[..., None]
+    return xp.where(wrist, drawn * back[..., None, None], drawn)
 
 
 def consistent_joints_px(

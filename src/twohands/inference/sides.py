@@ -38,7 +38,8 @@ REMEMBERED_THRESHOLD: Final = 0.1
 """As `CANDIDATE_THRESHOLD`, for a hand that was there one frame of a video before."""
 MEMORY: Final = 0.5
 """Log-odds given to a hand that was there one frame before, and taken off one that was not: hands seldom come or go.
-On 2,100 frames of generated video, not trained or tested on, 1 and more kept hands and clutter alike."""
+In 2,100 frames of generated video, not trained or tested on, hands came or went 45 times without and 29 times with it,
+20 times in truth; 41 and 33 were missed, 50 and 52 invented. Twice as much keeps hands and clutter alike."""
 
 
 def assign_sides(
