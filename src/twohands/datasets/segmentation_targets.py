@@ -90,8 +90,8 @@ def segmentation_target(
     if sample.labels is None:
         raise DataFormatError(f"{sample.source}: HandSegNet needs part labels, this sample has none")
     image, labels, points = sample.image, sample.labels, hand_points(sample)
-    hidden = [not (hand_classes(labels) == 1 + side).any() for side in range(len(points))]
-    points[hidden] = np.nan
+    seen = hand_classes(labels)
+    points[[not (seen == 1 + side).any() for side in range(len(points))]] = np.nan
     if rng is not None and zoom is not None and zoom.cut > 0 and rng.random() < zoom.cut:
         image, labels, points = _cut(image, labels, points, rng)
     full_height, full_width = image.shape[:2]
