@@ -272,3 +272,30 @@ def test_joined_sources_follow_each_other():
 def test_an_empty_source_is_refused():
     with pytest.raises(InputError, match="no training pictures"):
         BatchDataset([], tiny_run("pose_net_2d"))
+
+
+def test_a_single_hand_found_as_either_is_shown_whole_too(segmented_run):
+    """HandSegNet calls its upper half a left and its lower half a right hand: both halves are the hand's, and the judge
+    refuses them as the other one."""
+    sample = make_sample(np.random.default_rng(1), present=(True, False))
+    u0, v0, u1, v1 = hand_box(sample, 0)
+    middle = (v0 + v1) / 2
+    halves = np.where(np.arange(sample.image.shape[0])[:, None] < middle, np.uint8(1), np.uint8(2))
+    classes = np.where(hand_classes(sample.labels) > 0, halves, np.uint8(0))
+    boxes = np.array([[u0, v0, u1, v1 - 4], [u0, v0 + 4, u1, v1]])
+    upright = dataclasses.replace(segmented_run, crop=dataclasses.replace(segmented_run.crop, roll=0.0))
+
+    def batch(classes, boxes, united):
+        rngs = [np.random.default_rng(0)]
+        run = judging(upright, predicted=1.0, united=united)
+        return pose_batch([sample], run, rngs, lambda images: [Segmentation(classes, boxes)])
+
+    shown = batch(classes, boxes, united=1.0)
+    assert shown["side"].tolist() == [0, 1] and shown["hand"].tolist() == [1.0, 0.0]
+    whole = np.tile([u0, v0, u1, v1], (2, 1))
+    for side in (0, 1):
+        expected = batch(np.where(classes > 0, np.uint8(side + 1), np.uint8(0)), whole, united=0.0)
+        assert torch.equal(shown["image_from_crop"][side], expected["image_from_crop"][side])
+        assert torch.equal(shown["image"][side], expected["image"][side])
+    apart = boxes + np.array([[0.0, 0.0, 0.0, 0.0], [0.0, 0.9, 0.0, 0.9]]) * (v1 - v0)
+    assert equal(batch(classes, apart, united=1.0), batch(classes, apart, united=0.0))

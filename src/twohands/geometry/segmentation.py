@@ -250,6 +250,21 @@ def boxes_from_energy(
     return HandBoxes(boxes_px, found, scores)
 
 
+def as_one_hand(masks: np.ndarray, boxes_px: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:
+    """Both candidates taken for one hand, of which HandSegNet gave a part to either side.
+
+    Args:
+        masks: (H, W) uint8, 0 background, 1 left, 2 right.
+        boxes_px: (2, 4) u0, v0, u1, v1 of both.
+        side: which hand it is taken for.
+
+    Returns:
+        The masks (H, W) uint8 with every hand's pixel that side's, and the box (4,) around both boxes.
+    """
+    box = np.concatenate([boxes_px[:, :2].min(axis=0), boxes_px[:, 2:].max(axis=0)])
+    return np.where(masks > 0, np.uint8(side + 1), np.uint8(0)), box
+
+
 def _foreground(energy: np.ndarray) -> tuple[float, np.ndarray]:
     """Otsu's grey level, 0..255, of an energy map, and the (h, w) uint8 mask of what lies above it."""
     return cv2.threshold(cv2.convertScaleAbs(energy, alpha=255.0), 0, 1, cv2.THRESH_BINARY + cv2.THRESH_OTSU)

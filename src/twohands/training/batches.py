@@ -23,7 +23,9 @@ from twohands.datasets.hand_views import hand_box, hand_classes
 from twohands.datasets.pose_targets import PoseTarget, Segmentation, false_hand, mirrored_hand, pose_target
 from twohands.datasets.segmentation_targets import segmentation_target
 from twohands.errors import InputError
+from twohands.geometry.boxes import box_iou
 from twohands.geometry.segmentation import (
+    as_one_hand,
     boxes_from_energy,
     hand_scores,
     letterbox,
@@ -48,6 +50,8 @@ FAINT_THRESHOLD = 0.05
 """HandSegNet's score from which on the pose networks learn from its boxes and masks. In use, only higher scores come
 before them; but mistakes with such scores are too rare for the judge to learn from, and shown faint mistakes alone, it
 takes every faint hand for one."""
+ONE_HAND_OVERLAP = 0.3
+"""Intersection over union of two boxes above which they may be around one hand."""
 
 
 class SampleSource(Protocol):
@@ -205,6 +209,7 @@ def pose_batch(
     for i, sample in enumerate(samples):
         rng = rngs[i] if rngs else None
         before = len(targets)
+        seen = _seen_by_side(sample, predicted.get(i), config.augment.united if judged else 0.0, rng)
         for side in (LEFT, RIGHT):
             target = pose_target(
                 sample,
@@ -213,7 +218,7 @@ def pose_batch(
                 config.crop,
                 photometric=config.augment.photometric,
                 masks=config.augment.masks,
-                predicted=predicted.get(i),
+                predicted=seen[side],
                 rng=rng,
             )
             if target is not None and judged and rng is not None and rng.random() < config.augment.mirrored:
@@ -221,7 +226,7 @@ def pose_batch(
             if target is not None:
                 targets.append(target)
         if judged:
-            targets += _false_hands(sample, others.get(i), predicted.get(i), config, rng)
+            targets += _false_hands(sample, others.get(i), seen, config, rng)
         new = len(targets) - before
         lots += rng.random(new).tolist() if rng is not None else [0.0] * new
 
@@ -243,18 +248,30 @@ def pose_batch(
     }
 
 
+def _seen_by_side(
+    sample: HandSample, found: Segmentation | None, united: float, rng: np.random.Generator | None
+) -> tuple[Segmentation | None, Segmentation | None]:
+    """What HandSegNet says of either hand; in the share `united` of single hands that it took for both, that both of
+    its candidates are that one hand, which is how the estimator asks the judge whose it is."""
+    doubted = found is not None and sum(sample.present) == 1 and box_iou(*found.boxes_px) > ONE_HAND_OVERLAP
+    if found is None or not doubted or rng is None or rng.random() >= united:
+        return found, found
+    left, right = (as_one_hand(found.classes, found.boxes_px, side) for side in (LEFT, RIGHT))
+    return Segmentation(left[0], np.tile(left[1], (2, 1))), Segmentation(right[0], np.tile(right[1], (2, 1)))
+
+
 def _false_hands(
     sample: HandSample,
     other: HandSample | None,
-    predicted: Segmentation | None,
+    seen: Sequence[Segmentation | None],
     config: TrainConfig,
     rng: np.random.Generator | None,
 ) -> list[PoseTarget]:
     """Crops where no such hand is: what HandSegNet invented, and the outlines of another picture's hands."""
     found: list[tuple[int, np.ndarray, np.ndarray]] = []
-    if predicted is not None:
-        absent = np.isfinite(predicted.boxes_px).all(axis=1) & ~np.asarray(sample.present)
-        found += [(int(side), predicted.classes, predicted.boxes_px[side]) for side in np.flatnonzero(absent)]
+    for side, answer in enumerate(seen):
+        if answer is not None and not sample.present[side] and np.isfinite(answer.boxes_px[side]).all():
+            found.append((side, answer.classes, answer.boxes_px[side]))
     if other is not None and other.labels is not None and other.labels.shape == sample.image.shape[:2]:
         boxes = [(side, hand_box(other, side)) for side in (LEFT, RIGHT)]
         found += [(side, hand_classes(other.labels), box) for side, box in boxes if box is not None]

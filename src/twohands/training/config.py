@@ -75,6 +75,9 @@ class AugmentConfig:
     stages)."""
     mirrored: float = 0.0
     """Share of crops shown mirrored, as hands of the wrong side (pose stages with a judge)."""
+    united: float = 0.0
+    """Share of the pictures of one hand, found as either hand in one place, in which both masks are taken for one hand
+    (pose stages with a judge)."""
     zoom: ZoomConfig = field(default_factory=ZoomConfig)
     """Scale, shift, flip, turn, close hands, other shapes (segmentation stage)."""
 
@@ -304,6 +307,7 @@ def recipe(name: RecipeName, stage: StageName) -> TrainConfig:
             masks=MaskConfig(coarse=0.5, border=0.03, holes=0.15, spill=0.2, confusion=0.15, no_arm=0.15),
             predicted=0.5,
             mirrored=0.12,
+            united=0.5,
             zoom=ZoomConfig(zoom=0.4, shift=0.05, flip=0.5, roll=45.0, close=0.25, cut=0.5),
         ),
         loss=LossConfig(
