@@ -413,6 +413,37 @@ def test_a_ghost_on_the_other_hand_is_refused_and_gives_its_pixels_back():
     np.testing.assert_allclose(pose.left.joints_px, sample.joints_px[LEFT], atol=0.3)
 
 
+def test_a_hand_found_as_both_is_judged_by_the_whole_of_it():
+    """Every other column of a left hand is called a right one. Shown so, it looks like a right hand; whole, like a
+    left one."""
+    sample = drawn_hands(1, present=(True, False))
+    oracle = Oracle(sample, make_card())
+
+    def striped(batch):
+        logits, energies = oracle.hand_seg_net(batch)
+        logits[:, 2] = np.where(np.arange(logits.shape[-1]) % 2, logits[:, 1] + 1, logits[:, 2])
+        return logits, np.repeat(energies[:, :1], 2, axis=1)
+
+    estimator = judging(oracle, striped)
+    cut, in_parts = estimator.crop, []
+
+    def crop(image, masks, *where):
+        crop = cut(image, masks, *where)
+        if len(np.unique(masks)) == 3:
+            in_parts.append(crop)
+        return crop
+
+    def locate(crops, truth):
+        logits = [[-8.0, 4.0] if any(crop is part for part in in_parts) else [12.0, -12.0] for crop in crops]
+        return oracle.true_maps(crops), np.array([both[crop.side] for both, crop in zip(logits, crops, strict=True)])
+
+    estimator.crop, estimator.locate = crop, locate
+    pose = estimator.estimate(sample.image, sample.camera, HAND_LENGTH_M)
+    assert in_parts and pose.left.present and not pose.right.present
+    np.testing.assert_array_equal(pose.masks, hand_masks(sample))
+    np.testing.assert_allclose(pose.left.joints_px, sample.joints_px[LEFT], atol=0.3)
+
+
 def test_what_is_no_hand_is_refused():
     sample = drawn_hands(2)
     estimator = judging(Oracle(sample, make_card()), Oracle(sample, make_card()).hand_seg_net)

@@ -12,6 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from twohands.geometry.boxes import box_iou
+
 Floats = NDArray[np.floating]
 PRESENCE_THRESHOLD = 0.6
 """A hand is absent where its score (`hand_scores`) is below this, unless PoseNet2D has a say (`inference.sides`).
@@ -25,6 +27,8 @@ OPENING_SIZE = 5
 REFERENCE_WIDTH = 512
 LETTERBOX_GREY = 128
 """What surrounds a picture that does not fill a network's input: 0 once it is normalised."""
+ONE_HAND_IOU = 0.3
+"""Two candidates whose boxes overlap more than this may be one hand (`may_be_one_hand`)."""
 STRETCH = 0.05
 """Pictures whose aspect ratio is this close to the network's input are stretched to fill it."""
 
@@ -248,6 +252,11 @@ def boxes_from_energy(
             boxes_px[side] = box * cell_px
     found = np.asarray(np.isfinite(boxes_px).all(axis=1))
     return HandBoxes(boxes_px, found, scores)
+
+
+def may_be_one_hand(boxes_px: np.ndarray) -> bool:
+    """Whether two candidates, boxes_px (2, 4), NaN for none, are so near to each other that they may be one hand."""
+    return bool(box_iou(*boxes_px) > ONE_HAND_IOU)
 
 
 def as_one_hand(masks: np.ndarray, boxes_px: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:

@@ -29,10 +29,12 @@ from twohands.geometry.rotation import rotation_about_z
 from twohands.geometry.segmentation import (
     PRESENCE_THRESHOLD,
     HandBoxes,
+    as_one_hand,
     boxes_from_energy,
     hand_scores,
     letterbox,
     masks_from_logits,
+    may_be_one_hand,
     mean_of_looks,
     network_input,
     unmirrored,
@@ -49,7 +51,7 @@ from twohands.inference.sides import (
     in_one_place,
 )
 from twohands.inference.weights import DEFAULT_PRESET, PictureLook, WeightsCard, preset_folder, read_card
-from twohands.skeleton import N_JOINTS, RIGHT, ROOT
+from twohands.skeleton import LEFT, N_JOINTS, RIGHT, ROOT
 from twohands.types import GlobalPose, HandCrop, HandPose, PinholeCamera, TwoHandPose
 
 DEFAULT_HAND_LENGTH_M = 0.10
@@ -256,7 +258,7 @@ class HandEstimator:
             return masks, boxes, look
         again = np.zeros(len(look.sides), bool)
         if self.card.judge and truth.present is None:
-            source, scores, look = self.judge(boxes, look, remembered)
+            source, scores, look = self.judge(image, masks, boxes, look, camera, remembered)
             corrected = corrected_masks(masks, source, boxes.boxes_px) if truth.masks is None else masks
             again = np.full(len(look.sides), corrected is not masks)
             boxes_px = np.where((source >= 0)[:, None], boxes.boxes_px[source], np.nan)
@@ -293,11 +295,18 @@ class HandEstimator:
         return Look(crops, heatmaps, joints_px, joint_scores, hand_logits)
 
     def judge(
-        self, boxes: HandBoxes, look: Look, remembered: np.ndarray | None = None
+        self,
+        image: np.ndarray,
+        masks: np.ndarray,
+        boxes: HandBoxes,
+        look: Look,
+        camera: PinholeCamera,
+        remembered: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray, Look]:
         """Which candidate is which hand.
 
         Args:
+            image, masks, camera: of the picture.
             boxes: the candidates, with HandSegNet's scores of both sides.
             look: at the candidates.
             remembered: (2,) bool, see `assign_sides`.
@@ -315,7 +324,16 @@ class HandEstimator:
             turned[look.sides[doubtful]] = mirrored.hand_logits
             looks |= {(1 - side, side): mirrored.rows([i]) for i, side in enumerate(look.sides[doubtful])}
         one_place = len(look.sides) == 2 and in_one_place(look.joints_px, boxes.boxes_px)
-        source, answer = assign_sides(boxes.scores, own, turned, one_place=one_place, remembered=remembered)
+        whole = None
+        if len(look.sides) == 2 and may_be_one_hand(boxes.boxes_px):
+            either = [as_one_hand(masks, boxes.boxes_px, side) for side in (LEFT, RIGHT)]
+            alone = self.look_at([self.crop(image, *one, side, camera) for side, one in enumerate(either)])
+            whole = alone.hand_logits
+        source, answer = assign_sides(
+            boxes.scores, own, turned, one_place=one_place, whole=whole, remembered=remembered
+        )
+        if whole is not None and (source >= 0).sum() == 1:
+            looks |= {(side, side): alone.rows([side]) for side in (LEFT, RIGHT)}
         scores = np.where(source >= 0, 1 / (1 + np.exp(-np.nan_to_num(answer))), boxes.scores)
         remaining = [looks[side, source[side]] for side in np.flatnonzero(source >= 0)]
         return source, scores, Look.joined(remaining) if remaining else look.rows([])

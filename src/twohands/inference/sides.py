@@ -48,6 +48,7 @@ def assign_sides(
     turned: np.ndarray,
     *,
     one_place: bool = False,
+    whole: np.ndarray | None = None,
     remembered: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """The most probable answer to which candidate is which hand.
@@ -61,6 +62,8 @@ def assign_sides(
         turned: (2,) its log-odds that candidate LEFT is a right hand, candidate RIGHT a left one; NaN where it did not
             look.
         one_place: whether the candidates are in one place, see `in_one_place`.
+        whole: (2,) where both may be one hand (`geometry.segmentation.may_be_one_hand`), PoseNet2D's log-odds that it
+            is a left hand, or a right one; what it says of a part of a hand counts only for two hands then.
         remembered: (2,) bool, which hands were there one frame before; None where nothing is known.
 
     Returns:
@@ -73,17 +76,21 @@ def assign_sides(
     if remembered is not None:
         values += np.where(remembered, MEMORY, -MEMORY)[:, None]
     values = np.where(np.isnan(values), -np.inf, values)
-    best, answer = 0.0, (-1, -1)
+    alone = values
+    if whole is not None:
+        alone = np.where(np.eye(2) > 0, values + (1 - SEG_WEIGHT) * (whole - own), -np.inf)
+    best, answer, logits = 0.0, (-1, -1), [np.nan, np.nan]
     for sources in itertools.product((-1, 0, 1), repeat=2):
         if sources[0] == sources[1] != -1:
             continue
-        total = sum(float(values[side, c]) for side, c in enumerate(sources) if c >= 0)
+        table = values if min(sources) >= 0 else alone
+        terms = [float(table[side, c]) if c >= 0 else np.nan for side, c in enumerate(sources)]
+        total = np.nansum(terms)
         if one_place and min(sources) >= 0:
             total -= ONE_PLACE_COST
         if total > best:
-            best, answer = total, sources
-    source = np.array(answer)
-    return source, np.array([values[side, c] if c >= 0 else np.nan for side, c in enumerate(answer)])
+            best, answer, logits = total, sources, terms
+    return np.array(answer), np.array(logits)
 
 
 def in_one_place(joints_px: np.ndarray, boxes_px: np.ndarray) -> bool:
