@@ -31,7 +31,8 @@ def write_yaml(path, matrix, distortion=None, size=(640, 480)):
 
 
 YAML_NUMBER = "%YAML:1.0\n---\ncamera_matrix: 3\n"
-MATRIX = [[500, 0, 322.5], [0, 510, 241], [0, 0, 1]]
+MATRIX = [[500, 0, 322], [0, 510, 240.5], [0, 0, 1]]
+"""Of OpenCV, which counts from the centre of the first pixel."""
 
 
 def test_json(tmp_path):

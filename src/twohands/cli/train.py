@@ -49,7 +49,7 @@ class TrainArgs:
     backgrounds: tuple[Path, ...] = ()
     """Folders of photographs to put behind rendered hands, beside procedural backgrounds."""
     recipe: Literal["ours", "paper"] = "ours"
-    """ours: slim networks that learn in minutes on a CPU; paper: networks, losses and schedule of the publication."""
+    """ours: slim networks, half an hour each on two cores; paper: networks, losses and schedule of the publication."""
     weights: tuple[Path, ...] = ()
     """Checkpoints to start from, of a run or of a preset (its .onnx files); pose_net_3d needs one of pose_net_2d."""
     segmentation: Path | None = None

@@ -20,7 +20,8 @@ def read_camera(path: str | Path) -> PinholeCamera:
 
     Args:
         path: `.json` with fx, fy, cx, cy, width, height and optionally distortion (OpenCV's k1, k2, p1, p2, ...); or
-            `.yaml`/`.yml` as OpenCV writes it, with camera_matrix, distortion_coefficients, image_width, image_height.
+            `.yaml`/`.yml` as OpenCV writes it, with camera_matrix, distortion_coefficients, image_width, image_height. OpenCV
+            counts from the first pixel's centre: 0.5 is added to its cx and cy.
 
     Raises:
         InputError: the file is missing, or a value is not finite or not positive.
@@ -81,7 +82,7 @@ def _from_opencv_yaml(text: str) -> dict[str, Any]:
         raise DataFormatError("not a camera file of OpenCV (YAML that begins with %YAML)") from error
     if matrix is None or matrix.shape != (3, 3):
         raise DataFormatError("camera_matrix: a 3x3 matrix expected")
-    record |= {"fx": matrix[0, 0], "fy": matrix[1, 1], "cx": matrix[0, 2], "cy": matrix[1, 2]}
+    record |= {"fx": matrix[0, 0], "fy": matrix[1, 1], "cx": matrix[0, 2] + 0.5, "cy": matrix[1, 2] + 0.5}
     return _numbers(record, () if distortion is None else np.ravel(distortion).tolist())
 
 

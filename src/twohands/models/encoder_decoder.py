@@ -20,7 +20,7 @@ class EncoderDecoder(nn.Module):
 
     Ours; the paper has no such network. It sees the whole picture at its bottom, so it needs one stage where the pose
     machine needs several, and it is made of 3x3 convolutions, which matrix units run several times faster than the
-    bottlenecks of the same depth (DESIGN 8).
+    bottlenecks of the same depth.
 
     Args:
         outputs: number of maps.

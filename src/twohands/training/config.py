@@ -269,7 +269,7 @@ def with_override(config: TrainConfig, assignment: str) -> TrainConfig:
 def recipe(name: RecipeName, stage: StageName) -> TrainConfig:
     """The run of one stage under one recipe, with no data source yet.
 
-    "paper": SPEC 9. "ours": slim networks and a loss that learns fast (DESIGN 8), random changes that real pictures
+    "paper": SPEC 9. "ours": slim networks and a loss that learns fast, random changes that real pictures
     know, imperfect masks, averaged weights; PoseNet3D learns on PoseNet2D's own maps while PoseNet2D keeps learning,
     because the depth cue travels in the maps' spread.
 

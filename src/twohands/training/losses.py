@@ -84,7 +84,7 @@ def heatmap_cross_entropy(logits: Tensor, target: Tensor, weight: Tensor) -> Ten
     """Cross-entropy between a target distribution over the cells and the softmax of the logits, in nats per joint.
 
     Ours; the paper uses the mean squared error. It learns far faster, because every cell's gradient is of the size
-    of its probability error, not diluted over 1,024 cells (DESIGN 8).
+    of its probability error, not diluted over 1,024 cells.
 
     Args:
         logits: (B, 21, M, M).

@@ -385,6 +385,7 @@ def _save_networks(state: TrainState, config: TrainConfig, out: Path, figures: d
         "minutes": round(state.elapsed_s / 60, 2),
         "data": _without_paths(config.to_dict()["data"]),
         "crop": config.to_dict()["crop"],
+        "loss": config.to_dict()["loss"],
         "validation": figures,
     }
     for name, network in state.best.networks().items():
