@@ -20,8 +20,8 @@ def read_camera(path: str | Path) -> PinholeCamera:
 
     Args:
         path: `.json` with fx, fy, cx, cy, width, height and optionally distortion (OpenCV's k1, k2, p1, p2, ...); or
-            `.yaml`/`.yml` as OpenCV writes it, with camera_matrix, distortion_coefficients, image_width, image_height. OpenCV
-            counts from the first pixel's centre: 0.5 is added to its cx and cy.
+            `.yaml`/`.yml` as OpenCV writes it, with camera_matrix, distortion_coefficients, image_width, image_height.
+            OpenCV counts from the first pixel's centre: 0.5 is added to its cx and cy.
 
     Raises:
         InputError: the file is missing, or a value is not finite or not positive.
