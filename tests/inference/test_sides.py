@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from twohands.geometry.segmentation import log_odds
-from twohands.inference.sides import MEMORY, ONE_PLACE_COST, SEG_WEIGHT, assign_sides, corrected_masks, in_one_place
+from twohands.inference.sides import (
+    MEMORY,
+    ONE_PLACE_COST,
+    SEG_WEIGHT,
+    WHOLE_SEG_WEIGHT,
+    assign_sides,
+    corrected_masks,
+    in_one_place,
+)
 
 NO = np.nan
 MEETING = np.array([[1, 0, 4, 1], [3, 0, 5, 1.0]])
@@ -61,11 +69,11 @@ def test_whose_hand_it_is_alone_is_told_by_the_whole_of_it():
     assert assign_sides(scores, own, turned, one_place=True)[0].tolist() == [-1, 1]
     source, values = assign_sides(scores, own, turned, one_place=True, whole=np.array([4.5, -2.0]))
     assert source.tolist() == [0, -1]
-    np.testing.assert_allclose(values, [(1 - SEG_WEIGHT) * 4.5, NO])
-    two = assign_sides(scores, np.full(2, 6.0), turned, one_place=True, whole=np.array([4.5, -2.0]))
+    np.testing.assert_allclose(values, [(1 - WHOLE_SEG_WEIGHT) * 4.5, NO])
+    two = assign_sides(scores, np.full(2, 6.0), turned, one_place=True, whole=np.array([3.0, -2.0]))
     assert two[0].tolist() == [0, 1]
     assert assign_sides(scores, own, turned, one_place=True, whole=np.full(2, -5.0))[0].tolist() == [0, 1]
-    assert assign_sides(scores, -own, turned, whole=np.full(2, -5.0))[0].tolist() == [-1, -1]
+    assert assign_sides(scores, -own, turned, one_place=True, whole=np.full(2, -5.0))[0].tolist() == [-1, -1]
 
 
 def test_a_hand_that_was_there_before_needs_less_evidence_and_a_new_one_more():

@@ -34,7 +34,6 @@ from twohands.geometry.segmentation import (
     hand_scores,
     letterbox,
     masks_from_logits,
-    may_be_one_hand,
     mean_of_looks,
     network_input,
     unmirrored,
@@ -325,7 +324,7 @@ class HandEstimator:
             looks |= {(1 - side, side): mirrored.rows([i]) for i, side in enumerate(look.sides[doubtful])}
         one_place = len(look.sides) == 2 and in_one_place(look.joints_px, boxes.boxes_px)
         whole = None
-        if len(look.sides) == 2 and may_be_one_hand(boxes.boxes_px):
+        if one_place:
             either = [as_one_hand(masks, boxes.boxes_px, side) for side in (LEFT, RIGHT)]
             alone = self.look_at([self.crop(image, *one, side, camera) for side, one in enumerate(either)])
             whole = alone.hand_logits
