@@ -36,7 +36,8 @@ ONE_PLACE_COST: Final = 1.0
 """Log-odds taken off where two hands are in one place: of 58 such pairs in generated pictures 16 were two hands."""
 WHOLE_SEG_WEIGHT: Final = 0.3
 """As `SEG_WEIGHT`, where two candidates in one place are taken for one hand and PoseNet2D sees the whole of it. The
-parts alone told the side of 91 % of 86 such hands in photographs, the whole of 94 %, HandSegNet of 67 %."""
+parts alone told the side of 91 % of 86 such hands in photographs, the whole of 94 %, HandSegNet of 67 %;
+they had a say in the choice."""
 REMEMBERED_THRESHOLD: Final = 0.1
 """As `CANDIDATE_THRESHOLD`, for a hand that was there one frame of a video before."""
 MEMORY: Final = 0.5
