@@ -396,18 +396,23 @@ def test_swapped_hands_are_set_right_by_the_judge():
         np.testing.assert_allclose(hand.joints_m, sample.joints_m[side], atol=5e-3)
 
 
+def striped(oracle):
+    """A HandSegNet that finds the left hand as a right one too, and calls every other column of it so."""
+
+    def hand_seg_net(batch):
+        logits, energies = oracle.hand_seg_net(batch)
+        logits[:, 2] = np.where(np.arange(logits.shape[-1]) % 2, logits[:, 1] + 1, logits[:, 2])
+        return logits, np.repeat(energies[:, :1], 2, axis=1)
+
+    return hand_seg_net
+
+
 def test_a_ghost_on_the_other_hand_is_refused_and_gives_its_pixels_back():
     sample = drawn_hands(1, present=(True, False))
     oracle = Oracle(sample, make_card())
-
-    def doubled(batch):
-        logits, energies = oracle.hand_seg_net(batch)
-        logits[:, 2] = np.where(np.arange(logits.shape[-1]) % 2, logits[:, 1] + 1, logits[:, 2])  # every other column
-        return logits, np.repeat(energies[:, :1], 2, axis=1)
-
-    plain = HandEstimator(dataclasses.replace(oracle.estimator.networks, hand_seg_net=doubled), oracle.card)
+    plain = HandEstimator(dataclasses.replace(oracle.estimator.networks, hand_seg_net=striped(oracle)), oracle.card)
     assert plain.segment(sample.image)[1].present.all()
-    pose = judging(oracle, doubled).estimate(sample.image, sample.camera, HAND_LENGTH_M)
+    pose = judging(oracle, striped(oracle)).estimate(sample.image, sample.camera, HAND_LENGTH_M)
     assert pose.left.present and not pose.right.present
     np.testing.assert_array_equal(pose.masks, hand_masks(sample))
     np.testing.assert_allclose(pose.left.joints_px, sample.joints_px[LEFT], atol=0.3)
@@ -418,13 +423,7 @@ def test_a_hand_found_as_both_is_judged_by_the_whole_of_it():
     left one."""
     sample = drawn_hands(1, present=(True, False))
     oracle = Oracle(sample, make_card())
-
-    def striped(batch):
-        logits, energies = oracle.hand_seg_net(batch)
-        logits[:, 2] = np.where(np.arange(logits.shape[-1]) % 2, logits[:, 1] + 1, logits[:, 2])
-        return logits, np.repeat(energies[:, :1], 2, axis=1)
-
-    estimator = judging(oracle, striped)
+    estimator = judging(oracle, striped(oracle))
     cut, in_parts = estimator.crop, []
 
     def crop(image, masks, *where):

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from twohands.geometry.boxes import box_iou
+from twohands.geometry.boxes import box_from_points
 
 Floats = NDArray[np.floating]
 PRESENCE_THRESHOLD = 0.6
@@ -27,8 +27,6 @@ OPENING_SIZE = 5
 REFERENCE_WIDTH = 512
 LETTERBOX_GREY = 128
 """What surrounds a picture that does not fill a network's input: 0 once it is normalised."""
-ONE_HAND_IOU = 0.3
-"""Two candidates whose boxes overlap more than this may be one hand (`may_be_one_hand`)."""
 STRETCH = 0.05
 """Pictures whose aspect ratio is this close to the network's input are stretched to fill it."""
 
@@ -254,11 +252,6 @@ def boxes_from_energy(
     return HandBoxes(boxes_px, found, scores)
 
 
-def may_be_one_hand(boxes_px: np.ndarray) -> bool:
-    """Whether two candidates, boxes_px (2, 4), NaN for none, are so near to each other that they may be one hand."""
-    return bool(box_iou(*boxes_px) > ONE_HAND_IOU)
-
-
 def as_one_hand(masks: np.ndarray, boxes_px: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:
     """Both candidates taken for one hand, of which HandSegNet gave a part to either side.
 
@@ -270,8 +263,8 @@ def as_one_hand(masks: np.ndarray, boxes_px: np.ndarray, side: int) -> tuple[np.
     Returns:
         The masks (H, W) uint8 with every hand's pixel that side's, and the box (4,) around both boxes.
     """
-    box = np.concatenate([boxes_px[:, :2].min(axis=0), boxes_px[:, 2:].max(axis=0)])
-    return np.where(masks > 0, np.uint8(side + 1), np.uint8(0)), box
+    corners = np.asarray(boxes_px).reshape(4, 2)
+    return np.where(masks > 0, np.uint8(side + 1), np.uint8(0)), np.asarray(box_from_points(corners))
 
 
 def _foreground(energy: np.ndarray) -> tuple[float, np.ndarray]:

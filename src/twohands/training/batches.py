@@ -23,13 +23,13 @@ from twohands.datasets.hand_views import hand_box, hand_classes
 from twohands.datasets.pose_targets import PoseTarget, Segmentation, false_hand, mirrored_hand, pose_target
 from twohands.datasets.segmentation_targets import segmentation_target
 from twohands.errors import InputError
+from twohands.geometry.boxes import box_iou
 from twohands.geometry.segmentation import (
     as_one_hand,
     boxes_from_energy,
     hand_scores,
     letterbox,
     masks_from_logits,
-    may_be_one_hand,
     network_input,
 )
 from twohands.models.blocks import fold_batch_norm
@@ -50,6 +50,8 @@ FAINT_THRESHOLD = 0.05
 """HandSegNet's score from which on the pose networks learn from its boxes and masks. In use, only higher scores come
 before them; but mistakes with such scores are too rare for the judge to learn from, and shown faint mistakes alone, it
 takes every faint hand for one."""
+ONE_HAND_IOU = 0.3
+"""Two boxes that overlap more than this around a single hand are taken for parts of it."""
 
 
 class SampleSource(Protocol):
@@ -251,7 +253,7 @@ def _seen_by_side(
 ) -> tuple[Segmentation | None, Segmentation | None]:
     """What HandSegNet says of either hand; in the share `united` of single hands that it took for both, that both of
     its candidates are that one hand, which is how the estimator asks the judge whose it is."""
-    doubted = found is not None and sum(sample.present) == 1 and may_be_one_hand(found.boxes_px)
+    doubted = found is not None and sum(sample.present) == 1 and box_iou(*found.boxes_px) > ONE_HAND_IOU
     if found is None or not doubted or rng is None or rng.random() >= united:
         return found, found
     left, right = (as_one_hand(found.classes, found.boxes_px, side) for side in (LEFT, RIGHT))
