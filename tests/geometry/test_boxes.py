@@ -9,6 +9,7 @@ from twohands.errors import InputError
 from twohands.geometry.boxes import (
     apply_homography,
     box_from_points,
+    box_in_picture,
     box_iou,
     image_from_rolled,
     perspective_crop,
@@ -40,6 +41,12 @@ def test_box_from_points(to):
     np.testing.assert_array_equal(np.asarray(box_from_points(to(points))), [[1, 2, 9, 9], [np.nan] * 4])
     valid = np.array([[True, True, True, False], [True] * 4])
     np.testing.assert_array_equal(np.asarray(box_from_points(to(points), to(valid))), [[1, 2, 3, 5], [np.nan] * 4])
+
+
+def test_a_box_ends_at_the_pictures_edge(to):
+    points = np.array([[[-5.0, 2.0], [30.0, 50.0]], [[3.0, 4.0], [5.0, 6.0]], np.full((2, 2), np.nan)])
+    found = np.asarray(box_in_picture(to(points), 20, 10))
+    np.testing.assert_array_equal(found, [[0, 2, 20, 10], [3, 4, 5, 6], [np.nan] * 4])
 
 
 def test_box_iou(to):

@@ -15,7 +15,7 @@ import numpy as np
 from twohands.errors import DataFormatError, InputError
 from twohands.evaluation import metrics as m
 from twohands.evaluation.predictions import Fingerprint, Predictions
-from twohands.geometry.boxes import box_from_points, box_iou
+from twohands.geometry.boxes import box_in_picture, box_iou
 from twohands.geometry.canonical import cartesian_alignment, spherical_alignment
 from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
 from twohands.types import HandSample
@@ -188,9 +188,8 @@ class _Labels:
         self.scale_2d[index] = REFERENCE_WIDTH_PX / sample.camera.width
         known = sample.valid & sample.present[:, None]  # (2, 21)
         self.joints_px[index] = np.where(known[..., None], sample.joints_px, np.nan)
-        size = sample.camera.width, sample.camera.height
-        inside_px = np.minimum(np.maximum(self.joints_px[index], 0.0), size)
-        self.boxes_px[index] = np.asarray(box_from_points(inside_px))
+        boxes_px = box_in_picture(self.joints_px[index], sample.camera.width, sample.camera.height)
+        self.boxes_px[index] = np.asarray(boxes_px)
         self.joints_m[index] = np.where(known[..., None], sample.joints_m, np.nan)
         if sample.visible is not None:
             self.visible[index] = sample.visible

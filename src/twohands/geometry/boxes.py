@@ -40,6 +40,21 @@ def box_from_points(points_px: Array, valid: Array | None = None) -> Array:
     return xp.where(xp.any(counted, axis=-1)[..., None], xp.concat([low, high], axis=-1), xp.nan)
 
 
+def box_in_picture(points_px: Array, width: int, height: int) -> Array:
+    """Tight box around points, cut to the picture: of hands that reach beyond its edge, what can be seen.
+
+    Args:
+        points_px: (..., N, 2) pixels; points that are not finite are left out.
+        width, height: of the picture.
+
+    Returns:
+        (..., 4) u0, v0, u1, v1 in pixels, 0..width and 0..height; NaN where no point is left.
+    """
+    xp, box = float_arrays(box_from_points(points_px))
+    corner = xp.stack([xp.full_like(box[..., 0], size) for size in (width, height, width, height)], axis=-1)
+    return xp.minimum(xp.maximum(box, xp.zeros_like(box)), corner)
+
+
 def box_iou(a: Array, b: Array) -> Array:
     """Intersection over union.
 

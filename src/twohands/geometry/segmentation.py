@@ -263,7 +263,7 @@ def as_one_hand(masks: np.ndarray, boxes_px: np.ndarray, side: int) -> tuple[np.
     Returns:
         The masks (H, W) uint8 with every hand's pixel that side's, and the box (4,) around both boxes.
     """
-    corners = np.asarray(boxes_px).reshape(4, 2)
+    corners = np.concatenate([boxes_px[:, :2], boxes_px[:, 2:]])
     return np.where(masks > 0, np.uint8(side + 1), np.uint8(0)), np.asarray(box_from_points(corners))
 
 

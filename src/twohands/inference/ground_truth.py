@@ -15,7 +15,7 @@ import numpy as np
 from twohands.errors import CheckpointError, InputError
 from twohands.evaluation.completion import hand_lengths_m
 from twohands.evaluation.metrics import hand_masks
-from twohands.geometry.boxes import apply_homography, box_from_points
+from twohands.geometry.boxes import apply_homography, box_in_picture
 from twohands.geometry.canonical import canonical_from_camera
 from twohands.geometry.heatmaps import encode_heatmaps
 from twohands.inference.estimator import HandEstimator, StageTruth
@@ -166,5 +166,6 @@ def true_heatmaps(joints_crop_px: np.ndarray, z: np.ndarray, crop_size: int, tar
 
 def _true_boxes(sample: HandSample) -> np.ndarray:
     """(2, 4) tight boxes of the joints of present hands, within the picture as estimated ones are; NaN else."""
-    inside_px = np.minimum(np.maximum(sample.joints_px, 0.0), sample.image.shape[1::-1])
-    return np.where(sample.present[:, None], np.asarray(box_from_points(inside_px)), np.nan)
+    height, width = sample.image.shape[:2]
+    boxes_px = box_in_picture(sample.joints_px, width, height)
+    return np.where(sample.present[:, None], np.asarray(boxes_px), np.nan)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twohands.geometry.boxes import mirrored_columns
+from twohands.geometry.boxes import box_in_picture, mirrored_columns
 from twohands.types import HandCrop
 
 SMALLEST_BOX_PX = 8.0
@@ -78,7 +78,6 @@ def joint_boxes(joints_px: np.ndarray, image_size: tuple[int, int], otherwise_px
     Returns:
         (B, 4) u0, v0, u1, v1.
     """
-    limits = np.array(image_size[::-1], np.float64)
-    low, high = (np.clip(corner(joints_px, axis=1), 0, limits) for corner in (np.min, np.max))
-    large = (high - low >= SMALLEST_BOX_PX).all(axis=1)
-    return np.where(large[:, None], np.concatenate([low, high], axis=1), otherwise_px)
+    boxes_px = np.asarray(box_in_picture(joints_px, image_size[1], image_size[0]))
+    large = (boxes_px[:, 2:] - boxes_px[:, :2]).min(axis=1) >= SMALLEST_BOX_PX
+    return np.where(large[:, None], boxes_px, otherwise_px)
