@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from twohands.synth.backgrounds import ProceduralBackgrounds
-from twohands.synth.clutter import ClutteredBackgrounds, _lighting, cluttered
+from twohands.synth.clutter import ClutteredBackgrounds, _lighting, cluttered, skin_toned
 from twohands.types import PinholeCamera
 
 CAMERA = PinholeCamera(100.0, 100.0, 80.0, 45.0, 160, 90)
@@ -70,3 +70,12 @@ def test_a_thing_that_fills_its_rectangle_is_lit_evenly():
 def test_small_pictures_do():
     for seed in range(50):
         assert cluttered(np.full((8, 8, 3), 128, np.uint8), np.random.default_rng(seed)).shape == (8, 8, 3)
+
+
+def test_a_skin_toned_picture_is_reddish_and_keeps_its_shading():
+    picture = np.zeros((2, 2, 3), np.uint8)
+    picture[..., 2] = [[40, 80], [120, 160]]  # shades of blue
+    for seed in range(20):
+        toned = skin_toned(picture, np.random.default_rng(seed)).astype(int)
+        assert (toned[..., 0] > picture[..., 0]).all()
+        assert (np.diff(toned.sum(-1).ravel()) > 0).all()

@@ -236,9 +236,13 @@ def _blurred(picture: np.ndarray, sigma: float) -> np.ndarray:
     return np.asarray(cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR))
 
 
+SKIN_RGB = np.array([200.0, 150.0, 120.0])
+"""A colour of skin."""
+
+
 def skin_like(rng: np.random.Generator, count: int) -> np.ndarray:
     """(count, 3) RGB colours about those of skin, light to dark, up to 260 or so."""
-    return np.array([200.0, 150.0, 120.0]) * rng.uniform(0.25, 1.2, (count, 1)) + rng.normal(0, 12, (count, 3))
+    return SKIN_RGB * rng.uniform(0.25, 1.2, (count, 1)) + rng.normal(0, 12, (count, 3))
 
 
 def _draw_shapes(canvas: np.ndarray, rng: np.random.Generator, count: int) -> None:

@@ -2,7 +2,8 @@
 
 A few hundred photographs hold little of what misleads a network in other rooms: table legs, wooden slats, lamps, faces.
 So training lays rounded, lit things over some backgrounds: sticks that bend and taper as arms do, blobs and boards, in
-the colours of skin and wood or covered with a piece of the photograph itself. Ours; the paper has photographs alone.
+the colours of skin and wood or covered with a piece of the photograph itself; and some of these pictures are toned like
+skin as a whole, for horses, fruit and furniture are no hands either. Ours; the paper has photographs alone.
 """
 
 from __future__ import annotations
@@ -12,11 +13,13 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from twohands.synth.backgrounds import Background, Backgrounds, skin_like
+from twohands.synth.backgrounds import SKIN_RGB, Background, Backgrounds, skin_like
 from twohands.types import PinholeCamera
 
 MOST_THINGS = 5
 """At most so many things in a picture."""
+SKIN_TONED = 0.35
+"""Share of the pictures with things that take on the colours of skin first."""
 
 
 class ClutteredBackgrounds:
@@ -41,7 +44,18 @@ class ClutteredBackgrounds:
         background = self.source.sample(rng, camera)
         if rng.random() >= self.share:
             return background
-        return Background(cluttered(background.picture, rng), background.surroundings)
+        picture = background.picture
+        if rng.random() < SKIN_TONED:
+            picture = skin_toned(picture, rng)
+        return Background(cluttered(picture, rng), background.surroundings)
+
+
+def skin_toned(picture: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """The picture (H, W, 3) uint8 RGB in shades of one skin colour, which leave 0 to 60 % of its own colours."""
+    colour = SKIN_RGB + rng.normal(0, 12, 3)
+    strength = rng.uniform(0.4, 1)
+    shades = np.outer(colour / colour.mean(), [0.299, 0.587, 0.114])  # of the picture's brightness
+    return np.asarray(cv2.transform(picture, (1 - strength) * np.eye(3) + strength * shades))
 
 
 def cluttered(picture: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -44,7 +44,7 @@ class SynthConfig:
     min_inside: int = 21
     """At least this many of a hand's 21 joints lie inside the image, `image_margin` away from its border."""
     gestures: float = 0.15
-    """Share of hands with some fingers stretched and the others curled, as in pointing and counting."""
+    """Share of hands with some fingers stretched and the others curled, as in pointing, counting and thumbs up."""
     shown: float = 0.0
     """Share of hands that must be held up to the camera, palm or back towards it, as in signs and greetings
     (`scene.held_up`); some of the others are so by chance."""

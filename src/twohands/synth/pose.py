@@ -204,9 +204,8 @@ class ArmAnatomy:
     def _fingers(self, hand: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Flexion axes, spread axes and rest flexions (4, 3) of the fingers, index to little."""
         a, b, c, d = (hand[5 + joint : 21 : 4] for joint in range(4))
-        # The palm arches, so each finger bends about the local tangent of the row of knuckles.
-        neighbours = a[[0, 0, 1, 2]] - a[[1, 2, 3, 3]]
-        palmar = unit(cross(unit(a - hand[WRIST]), neighbours)) * (1.0 if self.side == 0 else -1.0)
+        # All bend about the row of knuckles as a whole: about its arch, they would meet half-way in a fist.
+        palmar = unit(cross(unit(a - hand[WRIST]), a[0] - a[3])) * (1.0 if self.side == 0 else -1.0)
         axes = unit(cross(b - a, palmar))
         bones = np.stack([a - hand[WRIST], b - a, c - b, d - c])
         rests = signed_angle(bones[:-1], bones[1:], axes[None]).T

@@ -170,6 +170,12 @@ def instance_rng(seed: int, index: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(entropy=seed, spawn_key=(index,)))
 
 
+_FINGERS_WITH_THUMB = np.array(
+    [(0, 0, 0, 0), (1, 0, 0, 0), (0, 0, 0, 1), (1, 0, 0, 1), (1, 1, 0, 0), (1, 1, 1, 0), (1, 1, 1, 1)], bool
+)
+"""Which fingers, index to little, people stretch with the thumb: thumbs up, L, shaka, horns, three, four, five."""
+
+
 def sample_angles(
     rng: np.random.Generator, shape: tuple[int, ...] = (), gestures: float = SynthConfig.gestures
 ) -> HandAngles:
@@ -181,7 +187,8 @@ def sample_angles(
     Args:
         rng: source of randomness.
         shape: of the array.
-        gestures: share of hands that point or count: some fingers out, the others curled.
+        gestures: share of hands that point or count: some fingers out, the others curled; half of them with the thumb
+            out as well.
     """
     others = (1 - gestures) / 0.85
     kinds = np.cumsum([0.4 * others, 0.3 * others, gestures])
@@ -191,9 +198,12 @@ def sample_angles(
     together = rng.uniform(-0.05, 1.0, shape)[..., None, None] + rng.normal(0, 0.10, (*shape, 4, 2))
     # Free: every joint on its own.
     free = rng.uniform(-0.1, 1.0, (*shape, 4, 2))
-    # Some fingers out, the others curled: pointing, counting.
-    out = rng.random((*shape, 4, 1)) < 0.5
-    some = np.where(out, rng.uniform(-0.1, 0.2, (*shape, 4, 2)), rng.uniform(0.6, 1.0, (*shape, 4, 2)))
+    # Some fingers out, the others curled: pointing, counting, thumbs up.
+    thumb_out = rng.random(shape) < 0.5
+    usual = _FINGERS_WITH_THUMB[rng.integers(len(_FINGERS_WITH_THUMB), size=shape)]
+    out = np.where(thumb_out[..., None], usual, rng.random((*shape, 4)) < 0.5)[..., None]
+    fist = rng.uniform(0.6, 0.9, (*shape, 1, 1)) + rng.normal(0, 0.05, (*shape, 4, 2))
+    some = np.where(out, rng.uniform(-0.1, 0.15, (*shape, 4, 2)), fist)
     # Knuckles bent, fingers rather straight, or the reverse: pinch and hook.
     pinch = rng.uniform(0, 1, (*shape, 1, 2)) + rng.normal(0, 0.08, (*shape, 4, 2))
     curl = np.choose(kind[..., None, None], [together, free, some, pinch])
@@ -212,7 +222,12 @@ def sample_angles(
         rng.uniform([2, -4], [22, 14], (*shape, 2)),
         np.clip(rng.normal([29, 27], [13, 14], (*shape, 2)), [-2, -4], [56, 54]),
     )
-    thumb = deg(np.concatenate([base, rng.uniform([0, -12], [50, 65], (*shape, 2))], axis=-1))
+    # It lies over a curled index finger, or beside it, but not where that finger is.
+    aside = np.where(curl[..., 0, :].min(-1) > 0.45, rng.uniform(32, 56, shape), -2)
+    base[..., 0] = np.maximum(base[..., 0], aside)
+    bent = np.concatenate([base, rng.uniform([0, -12], [50, 65], (*shape, 2))], axis=-1)
+    straight = rng.uniform([36, -4, 0, -12], [56, 32, 14, 12], (*shape, 4))
+    thumb = deg(np.where(((kind == 2) & thumb_out)[..., None], straight, bent))
     return HandAngles(
         pronation=deg(rng.uniform(-75, 75, shape)),
         wrist_flexion=deg(np.clip(rng.normal(-5, 28, shape), -60, 60)),
