@@ -25,7 +25,7 @@ ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "src" / "twohands" / "examples_data"
 IMAGES = ROOT / "docs" / "images"
 SEED = 20261121
-INSTANCES = (2, 4, 9, 19)
+INSTANCES = (6, 12, 19, 22)
 SHEET_SEED, CLIP_SEED = 2026, 7
 
 
