@@ -55,25 +55,27 @@ def test_mirrored_evidence_gives_the_mirrored_answer():
 
 
 def test_two_hands_in_one_place_need_more_evidence():
+    """Seen whole, it is one left hand, as probable as the left one of two."""
     half_the_cost = 0.5 * ONE_PLACE_COST / (1 - SEG_WEIGHT)
-    doubtful = np.array([0.7, 0.5]), np.array([4.0, half_the_cost]), np.full(2, NO)
-    assert assign_sides(*doubtful)[0].tolist() == [0, 1]
-    assert assign_sides(*doubtful, one_place=True)[0].tolist() == [0, -1]
-    clear = np.array([0.9, 0.9]), np.array([4.0, 5.0]), np.full(2, NO)
-    assert assign_sides(*clear, one_place=True)[0].tolist() == [0, 1]
+    scores, turned = np.array([0.5, 0.5]), np.full(2, NO)
+    whole = np.array([4.0 * (1 - SEG_WEIGHT) / (1 - WHOLE_SEG_WEIGHT), -9.0])
+    doubtful, clear = np.array([4.0, half_the_cost]), np.array([4.0, 3 * half_the_cost])
+    assert assign_sides(scores, doubtful, turned)[0].tolist() == [0, 1]
+    assert assign_sides(scores, doubtful, turned, whole=whole)[0].tolist() == [0, -1]
+    assert assign_sides(scores, clear, turned, whole=whole)[0].tolist() == [0, 1]
 
 
 def test_whose_hand_it_is_alone_is_told_by_the_whole_of_it():
     """Both parts look like hands, more so the one found as the right one; seen whole, it is a left hand."""
     scores, own, turned = np.array([0.5, 0.5]), np.array([1.0, 3.0]), np.full(2, NO)
-    assert assign_sides(scores, own, turned, one_place=True)[0].tolist() == [-1, 1]
-    source, values = assign_sides(scores, own, turned, one_place=True, whole=np.array([4.5, -2.0]))
+    assert assign_sides(scores, own, turned, whole=own)[0].tolist() == [-1, 1]
+    source, values = assign_sides(scores, own, turned, whole=np.array([4.5, -2.0]))
     assert source.tolist() == [0, -1]
     np.testing.assert_allclose(values, [(1 - WHOLE_SEG_WEIGHT) * 4.5, NO])
-    two = assign_sides(scores, np.full(2, 6.0), turned, one_place=True, whole=np.array([3.0, -2.0]))
+    two = assign_sides(scores, np.full(2, 6.0), turned, whole=np.array([3.0, -2.0]))
     assert two[0].tolist() == [0, 1]
-    assert assign_sides(scores, own, turned, one_place=True, whole=np.full(2, -5.0))[0].tolist() == [0, 1]
-    assert assign_sides(scores, -own, turned, one_place=True, whole=np.full(2, -5.0))[0].tolist() == [-1, -1]
+    assert assign_sides(scores, own, turned, whole=np.full(2, -5.0))[0].tolist() == [0, 1]
+    assert assign_sides(scores, -own, turned, whole=np.full(2, -5.0))[0].tolist() == [-1, -1]
 
 
 def test_a_hand_that_was_there_before_needs_less_evidence_and_a_new_one_more():

@@ -322,15 +322,12 @@ class HandEstimator:
             mirrored = self.look_at([mirror_crop(look.crops[i]) for i in doubtful])
             turned[look.sides[doubtful]] = mirrored.hand_logits
             looks |= {(1 - side, side): mirrored.rows([i]) for i, side in enumerate(look.sides[doubtful])}
-        one_place = len(look.sides) == 2 and in_one_place(look.joints_px, boxes.boxes_px)
         whole = None
-        if one_place:
+        if len(look.sides) == 2 and in_one_place(look.joints_px, boxes.boxes_px):
             either = [as_one_hand(masks, boxes.boxes_px, side) for side in (LEFT, RIGHT)]
             alone = self.look_at([self.crop(image, *one, side, camera) for side, one in enumerate(either)])
             whole = alone.hand_logits
-        source, answer = assign_sides(
-            boxes.scores, own, turned, one_place=one_place, whole=whole, remembered=remembered
-        )
+        source, answer = assign_sides(boxes.scores, own, turned, whole=whole, remembered=remembered)
         if whole is not None and (source >= 0).sum() == 1:
             looks |= {(side, side): alone.rows([side]) for side in (LEFT, RIGHT)}
         scores = np.where(source >= 0, 1 / (1 + np.exp(-np.nan_to_num(answer))), boxes.scores)

@@ -51,7 +51,6 @@ def assign_sides(
     own: np.ndarray,
     turned: np.ndarray,
     *,
-    one_place: bool = False,
     whole: np.ndarray | None = None,
     remembered: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -65,9 +64,9 @@ def assign_sides(
         own: (2,) PoseNet2D's log-odds that candidate LEFT is a left hand, candidate RIGHT a right one; NaN for none.
         turned: (2,) its log-odds that candidate LEFT is a right hand, candidate RIGHT a left one; NaN where it did not
             look.
-        one_place: whether the candidates are in one place, see `in_one_place`.
-        whole: (2,) of candidates in one place, PoseNet2D's log-odds that they are one left hand, or one right hand
-            (`geometry.segmentation.as_one_hand`); what it says of one candidate counts for two hands only then.
+        whole: (2,) where the candidates are `in_one_place`, PoseNet2D's log-odds that they are one left hand, or one
+            right hand (`geometry.segmentation.as_one_hand`); what it says of one candidate counts for two hands only
+            then. None where they are not.
         remembered: (2,) bool, which hands were there one frame before; None where nothing is known.
 
     Returns:
@@ -90,7 +89,7 @@ def assign_sides(
         table = values if min(sources) >= 0 else alone
         terms = [float(table[side, c]) if c >= 0 else np.nan for side, c in enumerate(sources)]
         total = np.nansum(terms)
-        if one_place and min(sources) >= 0:
+        if whole is not None and min(sources) >= 0:
             total -= ONE_PLACE_COST
         if total > best:
             best, answer, logits = total, sources, terms
