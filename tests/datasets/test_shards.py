@@ -49,6 +49,15 @@ def test_same_samples_from_shards_and_folders(sets):
         assert one.camera == two.camera
 
 
+def test_a_folder_named_twice_is_trained_on_twice_and_held_out_once(tmp_path):
+    for i in range(20):
+        fakes.write_instance(tmp_path / f"{i:05d}")
+    once, twice = (open_source(DataConfig(source=",".join([str(tmp_path)] * times), validation=2)) for times in (1, 2))
+    assert [len(source) for source in once] == [18, 2]
+    assert [len(source) for source in twice] == [36, 2]
+    assert twice[0][18].source == twice[0][0].source == once[0][0].source
+
+
 def test_training_takes_either(sets):
     pictures = [open_source(DataConfig(source=str(root), validation=0))[0] for root in sets]
     assert [len(source) for source in pictures] == [5, 5]

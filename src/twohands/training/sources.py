@@ -24,7 +24,8 @@ def open_source(spec: DataConfig) -> tuple[SampleSource, SampleSource]:
     """Training and held-out pictures.
 
     Args:
-        spec: `source` names folders, of instances, of tar shards or of cached frames, or is "synthetic".
+        spec: `source` names folders, of instances, of tar shards or of cached frames, or is "synthetic". A folder named
+            twice is drawn from twice as often, and held out once.
 
     Returns:
         (training, validation); the validation pictures come from the end of every source, at most a tenth of it, and
@@ -37,9 +38,9 @@ def open_source(spec: DataConfig) -> tuple[SampleSource, SampleSource]:
     if spec.source == SYNTHETIC:
         return split(_synthetic(spec), spec.validation)
     names = [name.strip() for name in spec.source.split(",")]
-    pairs = [_open_folder(name, spec, spec.validation // len(names)) for name in names]
-    training, held_out = zip(*pairs, strict=True)
-    return Joined(training), Joined(held_out)
+    opened = {name: _open_folder(name, spec, spec.validation // len(set(names))) for name in names}
+    training = tuple(opened[name][0] for name in names)
+    return Joined(training), Joined(tuple(held_out for _, held_out in opened.values()))
 
 
 def _open_folder(name: str, spec: DataConfig, validation: int) -> tuple[SampleSource, SampleSource]:
