@@ -41,7 +41,7 @@ def raster():
 def scenes(count):
     """So many of the paper's, so many of all kinds, whose cameras and clothes vary, and so many with all things."""
     configs = [dataclasses.replace(config, width=WIDTH, height=HEIGHT) for config in (PAPER, DRESSED, LADEN)]
-    return [sample_scene(config, 6, index) for config in configs for index in range(count)]
+    return [sample_scene(config, 8, index) for config in configs for index in range(count)]
 
 
 def data_blocks(renderer):

@@ -266,7 +266,7 @@ def test_a_held_object_only_takes_light_from_hands(renderer):
     something are darker somewhere."""
     config = dataclasses.replace(WILD, width=480, height=270, objects=1.0, sleeves=0.0, gloves=0.0, webcam=0.0)
     holding, darker = 0, 0
-    for index in range(20):
+    for index in range(30):
         scene = sample_scene(config, 6, index)
         if all(thing.core is None for thing in scene.things):
             continue
