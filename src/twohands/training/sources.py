@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -38,12 +40,17 @@ def open_source(spec: DataConfig) -> tuple[SampleSource, SampleSource]:
     if spec.source == SYNTHETIC:
         return split(_synthetic(spec), spec.validation)
     names = [name.strip() for name in spec.source.split(",")]
-    opened = {name: _open_folder(name, spec, spec.validation // len(set(names))) for name in names}
+    folders = dict.fromkeys(names)
+    share, behind = spec.validation // len(folders), cache(lambda: _backgrounds(spec))
+    opened = {name: _open_folder(name, spec, share, behind) for name in folders}
     training = tuple(opened[name][0] for name in names)
     return Joined(training), Joined(tuple(held_out for _, held_out in opened.values()))
 
 
-def _open_folder(name: str, spec: DataConfig, validation: int) -> tuple[SampleSource, SampleSource]:
+def _open_folder(
+    name: str, spec: DataConfig, validation: int, behind: Callable[[], Backgrounds]
+) -> tuple[SampleSource, SampleSource]:
+    """Training and held-out pictures of one folder; all folders share the backgrounds, which keep decoded pictures."""
     folder = Path(name)
     if not name or not folder.is_dir():
         raise InputError(f"training data '{name}': expected a folder or '{SYNTHETIC}'")
@@ -51,7 +58,7 @@ def _open_folder(name: str, spec: DataConfig, validation: int) -> tuple[SampleSo
     from twohands.synth.cache import FrameCache
 
     if FrameCache.is_cache(folder):
-        backgrounds = _backgrounds(spec)
+        backgrounds = behind()
         frames = len(FrameCache(folder).indices)
         cut = frames - min(validation, frames // 10)
         return (
