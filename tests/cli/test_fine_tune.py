@@ -25,6 +25,7 @@ def camera(tmp_path):
         (["--minutes", "0"], "--minutes must be positive, got 0"),
         (["--resume"], "holds no fine-tuning to resume"),
         (["--set", "speed=3"], "unknown setting 'speed'"),
+        (["--backgrounds", "no-such-folder"], "no-such-folder"),
     ],
 )
 def test_mistakes_are_one_line_and_leave_nothing(words, message, camera, tmp_path, capsys):

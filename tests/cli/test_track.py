@@ -1,6 +1,7 @@
 """`twohands track` and `twohands demo` from the outside: files, table, JSON, assumptions, every kind of bad input."""
 
 import json
+import os
 import sys
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from tests.oracles import write_tiny_weights
 
 from twohands.cli import demo, track
 from twohands.cli.main import main
+from twohands.errors import InputError
 from twohands.inference.records import from_dict
 from twohands.inference.weights import preset_names
 
@@ -50,6 +52,7 @@ def test_one_image(picture, weights, tmp_path, capsys):
     assert captured.err == "", "nothing was assumed"
     record = json.loads((out / "hands.json").read_text())
     assert (record["version"], record["source"], record["weights"]) == (1, str(picture), "tiny")
+    assert (record["hand_length_m"], record["frames"][0]["file"]) == (0.09, "hands.png")
     camera = record["frames"][0]["camera"]
     assert camera == {"fx": 80.0, "fy": 80.0, "cx": 80.0, "cy": 48.0, "width": 160, "height": 96}
     left = record["frames"][0]["hands"]["left"]
@@ -141,6 +144,61 @@ def test_a_folder_of_broken_images_is_an_error(weights, tmp_path, capsys):
     assert run_track(folder, "--out", tmp_path / "out", "--weights", weights) == 2
     assert "none of its 2 images can be used" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_an_interrupted_folder_keeps_what_is_done(weights, tmp_path, monkeypatch):
+    folder, out = tmp_path / "pictures", tmp_path / "out"
+    folder.mkdir()
+    for name in ("1.png", "2.png", "3.png"):
+        write_picture(folder / name)
+    estimate = track.HandEstimator.estimate
+
+    def interrupted(self, *args, index, **more):
+        if index == 2:
+            raise KeyboardInterrupt
+        return estimate(self, *args, index=index, **more)
+
+    monkeypatch.setattr(track.HandEstimator, "estimate", interrupted)
+    assert run_track(folder, "--out", out, "--weights", weights) != 0
+    record = json.loads((out / "hands.json").read_text())
+    assert [frame["file"] for frame in record["frames"]] == ["1.png", "2.png"]
+
+
+def test_a_picture_that_the_pipeline_refuses_is_left_out_of_a_folder(weights, tmp_path, monkeypatch, capsys):
+    folder, out = tmp_path / "pictures", tmp_path / "out"
+    folder.mkdir()
+    for name in ("1.png", "2.png"):
+        write_picture(folder / name)
+    estimate = track.HandEstimator.estimate
+
+    def strict(self, *args, index, **more):
+        if index == 0:
+            raise InputError("a box that spans half of all directions")
+        return estimate(self, *args, index=index, **more)
+
+    monkeypatch.setattr(track.HandEstimator, "estimate", strict)
+    assert run_track(folder, "--out", out, "--weights", weights) == 0
+    frames = json.loads((out / "hands.json").read_text())["frames"]
+    assert [(frame["index"], frame["file"]) for frame in frames] == [(1, "2.png")]
+    assert "1.png: a box that spans half" in capsys.readouterr().err
+    assert run_track(folder / "1.png", "--out", tmp_path / "one", "--weights", weights) == 2
+
+
+def test_names_with_markup_formulas_and_foreign_bytes_are_just_names(weights, tmp_path, capsys):
+    folder, out = tmp_path / "pictures", tmp_path / "out"
+    folder.mkdir()
+    names = ["cost $5_$ and.png", "photo[copy].png", os.fsdecode(b"caf\xe9.png")]
+    written = write_picture(tmp_path / "p.png").read_bytes()
+    for name in names:
+        (folder / name).write_bytes(written)
+    assert run_track(folder, "--out", out, "--weights", weights) == 0
+    assert len(files_below(out)) == 7
+    assert "photo[copy].png" in capsys.readouterr().out
+
+
+def test_a_name_too_long_for_a_file_is_one_line(weights, capsys):
+    assert run_track("a" * 300 + ".png", "--weights", weights) == 2
+    assert capsys.readouterr().err.count("\n") == 1
 
 
 def test_results_are_not_overwritten_unasked(picture, weights, tmp_path, capsys):

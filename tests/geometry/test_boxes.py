@@ -221,6 +221,36 @@ def test_upscaling_by_two_keeps_the_half_pixel_law():
     np.testing.assert_array_equal(nearest, image.repeat(2, axis=0).repeat(2, axis=1))
 
 
+@pytest.mark.parametrize("times", [2, 3, 5])
+def test_a_shrunk_crop_is_the_mean_of_what_its_pixels_cover(times):
+    image = np.random.default_rng(times).integers(0, 256, (times * 8, times * 8, 3), np.uint8)
+    crop = warp_image(image, np.diag([times, times, 1.0]), 8)
+    means = image.reshape(8, times, 8, times, 3).mean(axis=(1, 3))
+    np.testing.assert_allclose(crop, means, atol=0.5 + 1e-6)
+
+
+def test_a_hand_in_a_photograph_of_many_pixels_is_shown_without_its_noise():
+    """A grey hand under a sensor's noise, once as a webcam and once as a telephone takes it."""
+    noise = np.random.default_rng(0).normal(128, 40, (2160, 3840)).clip(0, 255).astype(np.uint8)
+    camera = PinholeCamera.from_fov(70, 3840, 2160)
+    crop = warp_image(noise, perspective_crop([1500, 600, 2400, 1500], camera, size=128, side=LEFT), 128)
+    assert crop.std() < 40 / 7  # every pixel covers nine by nine or more; one sample of them would have 40 / 1.5
+
+
+@pytest.mark.parametrize("box", [[-300.0, 900, 500, 1600], [1500.0, 600, 2600, 1083]], ids=["left edge", "lower edge"])
+def test_a_shrunk_crop_is_black_outside_the_picture_alone(box):
+    white = np.full((1083, 1927, 3), 255, np.uint8)  # no multiple of any block
+    camera = PinholeCamera.from_fov(70, 1927, 1083)
+    image_from_crop = perspective_crop(box, camera, size=128, side=LEFT)
+    crop = warp_image(white, image_from_crop, 128)
+    v, u = np.mgrid[0:128, 0:128] + 0.5
+    seen = apply_homography(image_from_crop, np.stack([u, v], axis=-1).reshape(-1, 2)).reshape(128, 128, 2)
+    to_edge = np.minimum(seen, np.array([1927, 1083]) - seen).min(axis=-1)  # negative outside
+    assert (crop[to_edge > 20] == 255).all()
+    assert (crop[to_edge < -20] == 0).all()
+    assert (to_edge > 20).any() and (to_edge < -20).any()
+
+
 def test_upscaling_floats_is_not_rounded():
     ramp = np.arange(8, dtype=np.float32)[None, :].repeat(8, axis=0)
     crop = warp_image(ramp, np.diag([0.5, 0.5, 1.0]), 16)

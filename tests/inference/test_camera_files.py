@@ -44,6 +44,8 @@ def test_json(tmp_path):
 
 def test_opencv_yaml(tmp_path):
     assert read_camera(write_yaml(tmp_path / "c.yaml", MATRIX)) == PinholeCamera(**VALUES)
+    padded = [[0.1, -0.2, 0, 0.001, 0.05, 0.01, 0.02, 0.03, 0, 0, 0, 0, 0, 0]]  # of CALIB_RATIONAL_MODEL
+    assert len(read_camera(write_yaml(tmp_path / "e.yml", MATRIX, padded)).distortion) == 8
     lens = [[0.1], [-0.2], [0.0], [0.001], [0.05]]
     assert read_camera(write_yaml(tmp_path / "d.yml", MATRIX, lens)).distortion == (0.1, -0.2, 0.0, 0.001, 0.05)
 
@@ -68,6 +70,17 @@ def test_opencv_yaml(tmp_path):
 def test_bad_values_are_named_with_the_file(tmp_path, changes, message):
     with pytest.raises(TwoHandsError, match=rf"bad\.json: .*{message}"):
         read_camera(write_json(tmp_path / "bad.json", **changes))
+
+
+def test_a_fisheye_lens_is_refused(tmp_path):
+    path = write_yaml(tmp_path / "c.yaml", MATRIX, [[0.1], [-0.2], [0.01], [0.001]])
+    for value, refused in ((0, False), (1, True)):
+        path.write_text(path.read_text().split("fisheye_model")[0] + f"fisheye_model: {value}\n")
+        if refused:
+            with pytest.raises(DataFormatError, match="fisheye"):
+                read_camera(path)
+        else:
+            assert len(read_camera(path).distortion) == 4
 
 
 def test_missing_keys_are_named(tmp_path):

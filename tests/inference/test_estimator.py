@@ -265,6 +265,28 @@ def test_looks_of_rolled_cameras_agree_on_true_answers_and_share_their_errors(de
             assert turned == pytest.approx(-degrees, abs=12)  # what is upright to the rolled camera leans the other way
 
 
+def test_a_hand_outside_the_picture_keeps_no_other_from_being_looked_at_again():
+    sample = drawn_hands(4)
+    card = make_card(rolls_deg=(15.0, -15.0))
+    oracle = Oracle(sample, card)
+    estimator = HandEstimator(oracle.estimator.networks, card)
+    masks, boxes = estimator.segment(sample.image)
+    look = estimator.look(sample.image, masks, boxes.boxes_px, np.array([LEFT, RIGHT]), sample.camera)
+    look.joints_px[RIGHT, :, 0] = -50.0
+    canonical, crops = estimator.lift(look), []
+
+    def look_at(given, truth=NO_TRUTH):
+        crops.append([crop.side for crop in given])
+        return look.rows([LEFT])
+
+    estimator.look_at, estimator.lift = look_at, lambda seen, truth=NO_TRUTH: canonical[seen.sides]
+    again, poses = estimator.look_around(sample.image, masks, look, canonical, sample.camera)
+    assert crops == [[LEFT], [LEFT]]
+    np.testing.assert_array_equal(again.joints_px, look.joints_px)
+    np.testing.assert_allclose(poses[RIGHT], canonical[RIGHT], atol=1e-12)
+    assert np.abs(poses[LEFT] - canonical[LEFT]).max() > 0.01
+
+
 def test_mirrored_picture_gives_the_mirrored_result_with_hands_swapped():
     """Flip the picture: left becomes right, x changes sign, everything else stays (SPEC 10.3)."""
     sample = drawn_hands(6)

@@ -31,10 +31,12 @@ def two_frames() -> list[TwoHandPose]:
 
 def test_the_schema_of_version_1():
     record = to_dict(two_frames(), source="pictures", weights="tiny")
-    assert list(record) == ["version", "source", "weights", "frames"]
+    assert list(record) == ["version", "source", "weights", "hand_length_m", "frames"]
+    assert record["hand_length_m"] is None
     assert (record["version"], record["source"], record["weights"]) == (1, "pictures", "tiny")
     first, second = record["frames"]
-    assert list(first) == ["index", "time_s", "camera", "hands"]
+    assert list(first) == ["index", "file", "time_s", "camera", "hands"]
+    assert first["file"] is None
     assert (first["index"], first["time_s"], second["index"], second["time_s"]) == (0, 0.5, 1, None)
     assert list(first["camera"]) == ["fx", "fy", "cx", "cy", "width", "height"]
     assert list(first["hands"]) == ["left", "right"]

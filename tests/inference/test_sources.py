@@ -140,6 +140,43 @@ def test_a_cameras_orientation_is_applied():
     assert np.abs(turned.astype(int) - np.rot90(SMOOTH, -1)).mean() < 4
 
 
+def exif(orientation: int) -> bytes:
+    """The smallest block that notes how a camera was held."""
+    return b"II*\0" + struct.pack("<IHHHIHHI", 8, 1, 0x112, 3, 1, orientation, 0, 0)
+
+
+def chunk(kind: bytes, content: bytes) -> bytes:
+    """A chunk of a PNG file."""
+    body = kind + content
+    return struct.pack(">I", len(content)) + body + struct.pack(">I", zlib.crc32(body))
+
+
+@pytest.mark.parametrize("depth", [8, 16])
+def test_a_cameras_orientation_is_applied_in_png(depth):
+    """6: the camera was turned to the right."""
+    pixels = RGB if depth == 8 else RGB.astype(np.uint16) * 257
+    data = encoded(".png", np.ascontiguousarray(pixels))
+    turned = decode_image(data[:33] + chunk(b"eXIf", exif(6)) + data[33:])
+    np.testing.assert_array_equal(turned, np.rot90(RGB, -1))
+
+
+def test_a_cameras_orientation_is_applied_in_webp():
+    plain = encoded(".webp", RGB, cv2.IMWRITE_WEBP_QUALITY, 101)  # lossless
+    note = exif(6)
+    header = b"VP8X" + struct.pack("<II", 10, 8) + struct.pack("<I", 63)[:3] + struct.pack("<I", 47)[:3]
+    chunks = header + plain[12:] + b"EXIF" + struct.pack("<I", len(note)) + note
+    data = b"RIFF" + struct.pack("<I", 4 + len(chunks)) + b"WEBP" + chunks
+    np.testing.assert_array_equal(decode_image(data), np.rot90(RGB, -1))
+
+
+def test_a_32_bit_bmp_whose_fourth_byte_is_unused_is_no_transparent_picture():
+    pixels = np.dstack([RGB[::-1, :, ::-1], np.zeros(RGB.shape[:2], np.uint8)])  # from the bottom row up, BGR0
+    masks = struct.pack("<III", 0xFF0000, 0xFF00, 0xFF)
+    header = struct.pack("<IiiHHIIiiII", 40, 64, 48, 1, 32, 3, pixels.nbytes, 2835, 2835, 0, 0)
+    data = b"BM" + struct.pack("<IHHI", 66 + pixels.nbytes, 0, 0, 66) + header + masks + pixels.tobytes()
+    np.testing.assert_array_equal(decode_image(data), RGB)
+
+
 def test_the_file_is_named_in_the_message(tmp_path):
     with pytest.raises(InputError, match=r"missing\.png: no such file"):
         read_image(tmp_path / "missing.png")
@@ -160,6 +197,12 @@ def test_a_folders_images_come_in_natural_order(tmp_path):
         (tmp_path / name).write_bytes(FILES["png"])
     (tmp_path / "folder.png").mkdir()
     assert [path.name for path in list_images(tmp_path)] == ["a.jpeg", "b9.PNG", "b10.png"]
+
+
+def test_a_digit_that_is_no_decimal_is_a_letter(tmp_path):
+    for name in ("1²3.png", "1.png"):
+        (tmp_path / name).touch()
+    assert len(list_images(tmp_path)) == 2
 
 
 def test_a_folder_without_images_is_refused(tmp_path):

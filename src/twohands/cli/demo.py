@@ -50,9 +50,9 @@ def run(args: DemoArgs) -> int:
         HandEstimator.from_preset(args.weights),
         hand_length_m=DEFAULT_HAND_LENGTH_M,
         out=args.out,
-        names=[path.stem for path in files],
+        files=files,
         source="examples",
     )
-    print_table(record, files)
+    print_table(record)
     print(f"overlays, three-view figures and hands.json written to {args.out.resolve()}")
     return 0

@@ -38,7 +38,7 @@ def fine_tune(
     from twohands.export.onnx import export_preset
     from twohands.synth.cache import build_cache
     from twohands.training.fine_tune import SHARES, fine_tuning_run, frame_count, scenes_for, shapes_of
-    from twohands.training.sources import open_source
+    from twohands.training.sources import backgrounds_of, open_source
     from twohands.training.trainer import train
 
     if not minutes > 0:
@@ -58,6 +58,7 @@ def fine_tune(
         )
         for stage in SHARES
     }
+    backgrounds_of(next(iter(runs.values())).data)  # refuses what is none before anything is rendered
     if camera.distortion:
         print("lens distortion is not rendered: the networks learn an ideal lens of this focal length")
     print(f"fine-tuning of {DEFAULT_PRESET} for a field of view of {camera.hfov_deg:.0f} degrees, {minutes:g} min")

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import sys
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -81,7 +82,7 @@ def run(args: TrackArgs) -> int:
     """Carry out `twohands track`."""
     hand_length_m = _hand_length_m(args.hand_length)
     camera = _camera(args)
-    folder = args.input.is_dir()
+    folder = os.path.isdir(args.input)
     files = list_images(args.input) if folder else [args.input]
     pictures = _readable(files, camera, args.fov) if folder else [_open(args.input, 0, camera, args.fov)]
     out = args.out or Path("out") / "track" / (args.input.resolve().name if folder else args.input.stem)
@@ -93,15 +94,16 @@ def run(args: TrackArgs) -> int:
         estimator,
         hand_length_m=hand_length_m,
         out=out,
-        names=_result_names(files),
+        files=files,
         source=str(args.input),
+        skip=folder,
     )
     if not record["frames"]:
         raise InputError(f"{args.input}: none of its {len(files)} images can be used")
     if args.json:
         print(json.dumps(record))
     else:
-        print_table(record, files)
+        print_table(record)
         print(f"written to {out}")
     return 0
 
@@ -112,41 +114,59 @@ def track_pictures(
     *,
     hand_length_m: float,
     out: Path,
-    names: list[str],
+    files: list[Path],
     source: str,
+    skip: bool = False,
 ) -> dict[str, Any]:
-    """Estimate every picture and write overlay, three-view figure and, at the end, hands.json.
+    """Estimate every picture and write overlay, three-view figure and, at the end or when interrupted, hands.json.
 
     Args:
         pictures: what to work on.
         estimator: the pipeline.
         hand_length_m: |wrist - middle knuckle|, metres.
         out: folder for the results.
-        names: beginning of the result files' names, by `Picture.index`.
+        files: the source's files, by `Picture.index`.
         source: named in hands.json.
+        skip: name and leave out pictures that cannot be used with their camera.
 
     Returns:
         The content of hands.json.
     """
+    names = _result_names(files)
     poses: list[TwoHandPose] = []
     with_views = True
-    for picture in pictures:
-        pose = estimator.estimate(picture.image, picture.camera, hand_length_m, index=picture.index)
-        name = names[picture.index]
-        write_file(out / f"{name}_overlay.png", _png(draw_overlay(picture.image, pose)))
-        if with_views:
-            with_views = _write_views(out / f"{name}_views.png", picture, pose)
-        poses.append(pose)
-    record = to_dict(poses, source=source, weights=estimator.card.name)
-    if poses:
-        write_file(out / "hands.json", (json.dumps(record) + "\n").encode())
+    try:
+        for picture in pictures:
+            try:
+                pose = estimator.estimate(picture.image, picture.camera, hand_length_m, index=picture.index)
+            except InputError as error:
+                if not skip:
+                    raise
+                _say(f"skipped {picture.path}: {error}")
+                continue
+            name = names[picture.index]
+            write_file(out / f"{name}_overlay.png", _png(draw_overlay(picture.image, pose)))
+            if with_views:
+                with_views = _write_views(out / f"{name}_views.png", picture, pose)
+            poses.append(replace(pose, masks=None))
+    finally:
+        record = to_dict(
+            poses,
+            source=source,
+            weights=estimator.card.name,
+            hand_length_m=hand_length_m,
+            files=[path.name for path in files],
+        )
+        if poses:
+            write_file(out / "hands.json", (json.dumps(record) + "\n").encode())
     return record
 
 
-def print_table(record: dict[str, Any], files: list[Path]) -> None:
+def print_table(record: dict[str, Any]) -> None:
     """Print one row per hand."""
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     table = Table(title=f"weights {record['weights']}", title_justify="left", title_style="dim")
     table.add_column("image", overflow="fold")
@@ -158,7 +178,7 @@ def print_table(record: dict[str, Any], files: list[Path]) -> None:
         for i, side in enumerate(SIDES):
             hand = frame["hands"][side]
             table.add_row(
-                files[frame["index"]].name if i == 0 else "",
+                Text(_printable(frame["file"]) if i == 0 else ""),
                 side,
                 "yes" if hand["present"] else "no",
                 _cell(hand["range_m"], 100.0),
@@ -168,6 +188,11 @@ def print_table(record: dict[str, Any], files: list[Path]) -> None:
                 end_section=i == 1,
             )
     Console().print(table)
+
+
+def _printable(name: str) -> str:
+    """A file's name as text; its bytes need not be any."""
+    return name.encode("utf-8", "replace").decode()
 
 
 def _cell(value: float | None, factor: float = 1.0, digits: int = 1) -> str:
@@ -253,7 +278,7 @@ def _write_views(path: Path, picture: Picture, pose: TwoHandPose) -> bool:
     from twohands.visualization.views import render_views
 
     try:
-        write_file(path, render_views(picture.image, pose, title=picture.path.name))
+        write_file(path, render_views(picture.image, pose, title=_printable(picture.path.name)))
     except MissingExtraError as error:
         _say(f"no three-view figure: {error}")
         return False

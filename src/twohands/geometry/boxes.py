@@ -182,13 +182,39 @@ def warp_image(
         interpolation: "linear" for pictures, "nearest" for labels.
 
     Returns:
-        (size, size[, C]), the image's dtype; 0 outside the image.
+        (size, size[, C]), the image's dtype; 0 outside the image. Where a pixel of the crop covers several of the
+        image, "linear" takes their mean: of a photograph's millions of pixels a hand would else be shown by a few, with
+        all their noise.
     """
+    if interpolation == "linear":
+        image, image_from_crop = _reduced(image, image_from_crop, size)
     centre_from_corner = np.array([[1, 0, -0.5], [0, 1, -0.5], [0, 0, 1]], dtype=np.float64)
     # OpenCV counts from the first pixel's centre, we from its outer corner.
     matrix = centre_from_corner @ image_from_crop @ np.linalg.inv(centre_from_corner)
     flags = (cv2.INTER_LINEAR if interpolation == "linear" else cv2.INTER_NEAREST) | cv2.WARP_INVERSE_MAP
     return cv2.warpPerspective(image, matrix, (size, size), flags=flags, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
+
+
+def _reduced(image: Array, image_from_crop: NDArray[np.float64], size: int) -> tuple[Array, NDArray[np.float64]]:
+    """The part of an image that a crop shows, with pixels about as large as the crop's at its centre, and the way there
+    from the crop; image and matrix as they are where the image's pixels are not half as large."""
+    depth = image_from_crop[2] @ [size / 2, size / 2, 1.0]
+    area = np.abs(np.linalg.det(image_from_crop) / depth**3)  # of the crop's central pixel, in pixels of the image
+    block = round(float(np.sqrt(area))) if np.isfinite(area) else 1
+    if block < 2:
+        return image, image_from_crop
+    height, width = image.shape[:2]
+    corners = apply_homography(image_from_crop, np.array([[0.0, 0], [size, 0], [0, size], [size, size]]))
+    if not np.isfinite(corners).all():  # the crop reaches behind the camera
+        corners = np.array([[0.0, 0], [width, height]])
+    last = np.array([width - 1, height - 1])
+    u0, v0 = (np.clip(corners.min(axis=0) - block, 0, last) // block * block).astype(int)
+    u1, v1 = (np.clip(corners.max(axis=0) + block, [u0 + 1, v0 + 1], [width, height])).astype(int)
+    part = image[v0:v1, u0:u1]
+    part = cv2.copyMakeBorder(part, 0, -len(part) % block, 0, -part.shape[1] % block, cv2.BORDER_CONSTANT, value=0)
+    small = cv2.resize(part, (part.shape[1] // block, part.shape[0] // block), interpolation=cv2.INTER_AREA)
+    small_from_image = np.array([[1 / block, 0, -u0 / block], [0, 1 / block, -v0 / block], [0, 0, 1.0]])
+    return small, small_from_image @ image_from_crop
 
 
 def _checked_box(box_px: Array) -> tuple[float, float, float, float]:

@@ -13,6 +13,8 @@ from twohands.errors import DataFormatError, InputError
 from twohands.types import PinholeCamera
 
 _KEYS = ("fx", "fy", "cx", "cy", "width", "height")
+MOST_COEFFICIENTS = 8
+"""Distortion coefficients that `PinholeCamera` knows: OpenCV's k1, k2, p1, p2, k3 to k6."""
 
 
 def read_camera(path: str | Path) -> PinholeCamera:
@@ -78,8 +80,12 @@ def _from_opencv_yaml(text: str) -> dict[str, Any]:
         distortion = storage.getNode("distortion_coefficients").mat()
         size = {name: storage.getNode(f"image_{name}") for name in ("width", "height")}
         record = {name: node.real() for name, node in size.items() if not node.empty()}
+        fisheye = storage.getNode("fisheye_model")
+        fisheye = not fisheye.empty() and fisheye.real() != 0
     except (cv2.error, SystemError) as error:
         raise DataFormatError("not a camera file of OpenCV (YAML that begins with %YAML)") from error
+    if fisheye:
+        raise DataFormatError("camera: a fisheye lens; only pinhole cameras with k1, k2, p1, p2, ... are known")
     if matrix is None or matrix.shape != (3, 3):
         raise DataFormatError("camera_matrix: a 3x3 matrix expected")
     record |= {"fx": matrix[0, 0], "fy": matrix[1, 1], "cx": matrix[0, 2] + 0.5, "cy": matrix[1, 2] + 0.5}
@@ -96,6 +102,8 @@ def _numbers(record: dict[str, Any], distortion: Any) -> dict[str, Any]:
         coefficients = tuple(float(value) for value in distortion)
     except (TypeError, ValueError) as error:
         raise DataFormatError(f"camera: numbers expected: {error}") from error
+    while len(coefficients) > MOST_COEFFICIENTS and coefficients[-1] == 0:
+        coefficients = coefficients[:-1]  # OpenCV pads those of its larger models
     for name in ("width", "height"):
         if not values[name].is_integer():
             raise DataFormatError(f"camera: {name} must be a whole number, got {record[name]}")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -210,8 +211,10 @@ class HandEstimator:
         """HandSegNet: seg_logits (3, h, w) and energies (2, h, w), 0..1, over the whole picture and nothing else, and
         `hand_scores` (2,) of them; from the mean of all looks where the first leaves a doubt."""
 
+        fitted = cache(lambda size: letterbox(image, size))
+
         def look(how: PictureLook) -> tuple[np.ndarray, np.ndarray]:
-            canvas, place = letterbox(image, how.size)
+            canvas, place = fitted(how.size)
             picture = canvas[:, ::-1] if how.mirrored else canvas
             seg_logits, energy_logits = (maps[0] for maps in self.networks.hand_seg_net(network_input(picture[None])))
             if how.mirrored:
@@ -356,13 +359,16 @@ class HandEstimator:
             unrolled = image_from_rolled(camera, roll)
             seen = apply_homography(np.linalg.inv(unrolled), np.clip(look.joints_px, 0, image.shape[1::-1]))
             boxes_px = box_from_points(seen)
-            if (boxes_px[:, 2:] - boxes_px[:, :2]).min() < SMALLEST_BOX_PX:
+            rows = np.flatnonzero((boxes_px[:, 2:] - boxes_px[:, :2]).min(axis=1) >= SMALLEST_BOX_PX)
+            if not len(rows):
                 break
-            hands = zip(boxes_px, look.sides, strict=True)
+            hands = zip(boxes_px[rows], look.sides[rows], strict=True)
             again = self.look_at([self.crop(image, masks, box, int(side), camera, unrolled) for box, side in hands])
             rays = unproject(again.joints_px[:, ROOT], camera)
-            looks.append(again)
-            poses.append(unrolled_canonical(self.lift(again), rays, roll))
+            pose = canonical.copy()
+            pose[rows] = unrolled_canonical(self.lift(again), rays, roll)
+            looks.append(look.replaced(rows, again))
+            poses.append(pose)
         joints_px, scores = (np.mean([getattr(each, name) for each in looks], axis=0) for name in MEASURED)
         return replace(look, joints_px=joints_px, joint_scores=scores), np.mean(poses, axis=0)
 

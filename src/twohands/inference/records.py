@@ -2,17 +2,18 @@
 
 Layout::
 
-    {"version": 1, "source": ..., "weights": ..., "frames": [
-        {"index": 0, "time_s": null,
+    {"version": 1, "source": ..., "weights": ..., "hand_length_m": ..., "frames": [
+        {"index": 0, "file": ..., "time_s": null,
          "camera": {"fx", "fy", "cx", "cy", "width", "height"},
          "hands": {"left": H, "right": H}}]}
 
     H = {"present", "score", "box_px": [u0, v0, u1, v1], "joints_px": [21][2], "joint_scores": [21],
          "canonical": [21][3], "joints_m": [21][3], "range_m", "theta_deg", "phi_deg", "key_bone", "method", "valid"}
 
-An absent hand has `present` false and null elsewhere. Where `valid` is false, `joints_m` and `range_m` are null. A
-camera with lens distortion carries the further key `distortion`. Numbers are rounded to DECIMALS; JSON has no NaN, so
-NaN is null.
+`file` is the picture's name, null for frames of a video; `index` is its position among all pictures of the source,
+those that were skipped included. An absent hand has `present` false and null elsewhere. Where `valid` is false,
+`joints_m` and `range_m` are null. A camera with lens distortion carries the further key `distortion`. Numbers are
+rounded to DECIMALS; JSON has no NaN, so NaN is null.
 """
 
 from __future__ import annotations
@@ -41,21 +42,32 @@ _SHAPES: dict[str, tuple[int, ...]] = {
 }
 
 
-def to_dict(poses: Sequence[TwoHandPose], *, source: str, weights: str) -> dict[str, Any]:
+def to_dict(
+    poses: Sequence[TwoHandPose],
+    *,
+    source: str,
+    weights: str,
+    hand_length_m: float | None = None,
+    files: Sequence[str] | None = None,
+) -> dict[str, Any]:
     """Results as a JSON-ready dictionary.
 
     Args:
         poses: one per frame.
         source: the file or folder they come from.
         weights: name of the weights.
+        hand_length_m: |wrist - middle knuckle| that all lengths scale with, metres; None where it is not known.
+        files: names of the source's pictures, by `TwoHandPose.index`; None where there are none.
     """
     return {
         "version": VERSION,
         "source": source,
         "weights": weights,
+        "hand_length_m": hand_length_m,
         "frames": [
             {
                 "index": pose.index,
+                "file": None if files is None else files[pose.index],
                 "time_s": _number(pose.time_s),
                 "camera": _camera_to_dict(pose.camera),
                 "hands": {"left": _hand_to_dict(pose.left), "right": _hand_to_dict(pose.right)},

@@ -40,8 +40,8 @@ def list_images(folder: Path) -> list[Path]:
 def read_image(path: str | Path) -> np.ndarray:
     """Read a picture as 8-bit RGB.
 
-    Grey is repeated over the channels, 16 bits are scaled by 1/257, transparency is put on black, and the orientation
-    noted by a camera (EXIF) is applied.
+    Grey is repeated over the channels, 16 bits are scaled by 1/257, and the orientation noted by a camera (EXIF) is
+    applied. Transparency of PNG and WebP is put on black instead; such pictures come from no camera.
 
     Args:
         path: a PNG, JPEG, WebP or BMP file; its content decides, not its name.
@@ -76,10 +76,12 @@ def decode_image(data: bytes) -> np.ndarray:
     complete = _completeness_check(data)
     if not complete(data):
         raise InputError("the image is cut off or damaged")
-    # Only JPEG carries a camera's orientation, and only IMREAD_COLOR applies it; only the others carry transparency.
-    flags = cv2.IMREAD_COLOR if complete is _jpeg_is_complete else cv2.IMREAD_UNCHANGED
+    # IMREAD_COLOR applies a camera's orientation and drops transparency, which a BMP may call total without meaning it.
+    content, plain = np.frombuffer(data, np.uint8), complete in (_jpeg_is_complete, _bmp_is_complete)
     try:
-        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+        pixels = cv2.imdecode(content, cv2.IMREAD_COLOR if plain else cv2.IMREAD_UNCHANGED)
+        if not plain and (b"eXIf" in data or b"EXIF" in data) and pixels is not None and pixels.shape[2:] != (4,):
+            pixels = cv2.imdecode(content, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
     except cv2.error as error:
         raise InputError(f"the image cannot be decoded: {error.err}") from error
     if pixels is None:
@@ -179,4 +181,4 @@ def _bmp_is_complete(data: bytes) -> bool:
 
 def _natural_key(name: str) -> list[tuple[int, int | str]]:
     """Sort key under which numbers count as numbers."""
-    return [(0, int(part)) if part.isdigit() else (1, part.lower()) for part in re.split(r"(\d+)", name)]
+    return [(0, int(part)) if part.isdecimal() else (1, part.lower()) for part in re.split(r"(\d+)", name)]

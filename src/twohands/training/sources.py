@@ -41,7 +41,7 @@ def open_source(spec: DataConfig) -> tuple[SampleSource, SampleSource]:
         return split(_synthetic(spec), spec.validation)
     names = [name.strip() for name in spec.source.split(",")]
     folders = dict.fromkeys(names)
-    share, behind = spec.validation // len(folders), cache(lambda: _backgrounds(spec))
+    share, behind = spec.validation // len(folders), cache(lambda: backgrounds_of(spec))
     opened = {name: _open_folder(name, spec, share, behind) for name in folders}
     training = tuple(opened[name][0] for name in names)
     return Joined(training), Joined(tuple(held_out for _, held_out in opened.values()))
@@ -86,10 +86,10 @@ def _synthetic(spec: DataConfig) -> SampleSource:
 
     width, height = SYNTHETIC_FRAME
     config, seed = SynthConfig(width=width, height=height), stream_seed(spec.seed, "stream")
-    return SyntheticStream(config, seed, SYNTHETIC_SIZE, _backgrounds(spec))
+    return SyntheticStream(config, seed, SYNTHETIC_SIZE, backgrounds_of(spec))
 
 
-def _backgrounds(spec: DataConfig) -> Backgrounds:
+def backgrounds_of(spec: DataConfig) -> Backgrounds:
     """What to put behind rendered hands."""
     from twohands.synth.backgrounds import BackgroundFolder, MixedBackgrounds, ProceduralBackgrounds
     from twohands.synth.clips import RoomBackgrounds

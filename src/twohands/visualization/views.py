@@ -92,7 +92,7 @@ def _camera_view(axes: Axes, image: np.ndarray, pose: TwoHandPose, title: str, t
     height, width = image.shape[:2]
     axes.imshow(image, extent=(0, width, height, 0), interpolation="antialiased")
     axes.set(xlim=(0, width), ylim=(height, 0), xticks=[], yticks=[])
-    axes.set_title(title, fontsize=10.5, color=_TEXT)
+    axes.set_title(title, fontsize=10.5, color=_TEXT, parse_math=False)
     for spine in axes.spines.values():
         spine.set_visible(False)
     handles = []
