@@ -79,7 +79,7 @@ def test_json_prints_the_file_and_nothing_else(picture, weights, tmp_path, capsy
 def test_assumptions_are_printed_on_stderr(picture, weights, tmp_path, capsys):
     assert run_track(picture, "--out", tmp_path / "out", "--weights", weights, "--json") == 0
     messages = capsys.readouterr().err
-    assert "assuming a horizontal field of view of 60 degrees" in messages
+    assert "assuming a field of view of 60 degrees along the longer side" in messages
     assert "assuming 10 cm from wrist to middle knuckle" in messages
     focal = json.loads((tmp_path / "out" / "hands.json").read_text())["frames"][0]["camera"]["fx"]
     assert focal == pytest.approx(80 / np.tan(np.radians(30)), abs=1e-6)
@@ -102,6 +102,12 @@ def test_ranges_scale_with_the_hand_length_given_in_cm(picture, weights, tmp_pat
 def test_an_unusual_hand_length_is_remarked_upon(picture, weights, tmp_path, capsys, length, remarked):
     assert run_track(picture, "--out", tmp_path / "o", "--weights", weights, "--fov", 60, "--hand-length", length) == 0
     assert ("unusual" in capsys.readouterr().err) == remarked
+
+
+def test_an_assumed_camera_has_one_focal_length_however_it_is_held():
+    lying, standing = track.assumed_camera(640, 480), track.assumed_camera(480, 640)
+    assert lying.fx == lying.fy == standing.fx == standing.fy == pytest.approx(320 * 3**0.5)
+    assert (standing.cx, standing.cy, standing.width, standing.height) == (240, 320, 480, 640)
 
 
 def test_a_camera_file_at_another_size_is_scaled(picture, weights, tmp_path):

@@ -49,7 +49,8 @@ class TrackArgs:
     camera: Annotated[Path | None, option("FILE")] = None
     """Camera file: JSON with fx, fy, cx, cy, width, height[, distortion], or the YAML of OpenCV's calibration."""
     fov: Annotated[float | None, option("DEG")] = None
-    """Horizontal field of view, where there is no camera file; 60 if not given."""
+    """Horizontal field of view of the upright pictures, where there is no camera file; 60 along the longer side if not
+    given."""
     hand_length: Annotated[float | None, option("CM")] = None
     """About 0.6 times the length from the wrist's crease to the tip of the middle finger; ranges scale with it; 10 if
     not given."""
@@ -221,7 +222,7 @@ def _say_assumptions(args: TrackArgs) -> None:
     """Name what was assumed, and what was given but is hard to believe."""
     if args.camera is None and args.fov is None:
         _say(
-            f"no camera given: assuming a horizontal field of view of {DEFAULT_FOV_DEG:g} degrees; "
+            f"no camera given: assuming a field of view of {DEFAULT_FOV_DEG:g} degrees along the longer side; "
             "ranges depend on it (--camera FILE or --fov DEG)"
         )
     low, high = PLAUSIBLE_HAND_LENGTH_CM
@@ -241,11 +242,20 @@ def _open(path: Path, index: int, camera: PinholeCamera | None, fov_deg: float |
     """Read one picture and fit the camera to its size."""
     image = read_image(path)
     height, width = image.shape[:2]
-    if camera is None:
-        fitted = PinholeCamera.from_fov(DEFAULT_FOV_DEG if fov_deg is None else fov_deg, width, height)
-    else:
+    if camera is not None:
         fitted = camera_for_image(camera, width, height)
+    elif fov_deg is not None:
+        fitted = PinholeCamera.from_fov(fov_deg, width, height)
+    else:
+        fitted = assumed_camera(width, height)
     return Picture(path, index, image, fitted)
+
+
+def assumed_camera(width: int, height: int) -> PinholeCamera:
+    """The camera of a picture of which nothing is known: `DEFAULT_FOV_DEG` along the longer side, so that a telephone
+    has one focal length however it is held."""
+    focal = PinholeCamera.from_fov(DEFAULT_FOV_DEG, max(width, height), min(width, height)).fx
+    return PinholeCamera(focal, focal, width / 2, height / 2, width, height)
 
 
 def _readable(files: list[Path], camera: PinholeCamera | None, fov_deg: float | None) -> Iterator[Picture]:
