@@ -144,8 +144,8 @@ def test_log_config_and_note(tmp_path):
     result = train(config, SAMPLES, SAMPLES[:2], tmp_path / "run", report=lines.append)
     logged = rows(tmp_path / "run")
     assert [int(row["iteration"]) for row in logged if row["metric"] == "loss"] == [2, 4]
-    assert [int(row["iteration"]) for row in logged if row["metric"] == "image_px_mean"] == [2, 4]
-    assert len(lines) == 6
+    assert [int(row["iteration"]) for row in logged if row["metric"] == "image_px_mean"] == [0, 2, 4]
+    assert len(lines) == 7
     speeds = {row["metric"]: float(row["value"]) for row in logged if row["split"] == "speed"}
     assert speeds.keys() == {"stream_per_s", "step_per_s"} and min(speeds.values()) > 0
     parts = {

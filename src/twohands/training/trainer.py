@@ -206,7 +206,6 @@ def train(
     held_out_batches = validation_batches(held_out, config, open_segmentation) if first else []
     log = _Log(out / LOG_FILE, report) if first else None
     figures: dict[str, float] = {}
-    clock, saved = time.monotonic() - state.elapsed_s, time.monotonic()
     running = _Running(config, fabric.world_size)
     checked = -1
 
@@ -220,7 +219,10 @@ def train(
             figures.update(_validate(fabric, state.best, held_out_batches))
             log.write(state, "validation", figures)
 
+    if state.iteration == 0:
+        check()  # where the run starts from
     interrupted = False
+    clock, saved = time.monotonic() - state.elapsed_s, time.monotonic()
     with _StopSignal() as stop:
         for making_s, batch in batch_loader(batches, state.iteration):
             done = progress(config, state.iteration, state.elapsed_s) if first else 0.0
@@ -421,11 +423,12 @@ class _Log:
 
 
 def _cut_log(path: Path, iteration: int) -> None:
-    """Drop rows written after the state that a run starts from, and a last one that a kill has cut short."""
+    """Drop rows written after the state that a run starts from, all of them if it starts anew, and a last one that a
+    kill has cut short."""
     if not path.exists():
         return
     header, *rows = path.read_text(encoding="utf-8").split("\n")[:-1]
-    kept = [row for row in rows if int(row.split(",", 1)[0]) <= iteration]
+    kept = [row for row in rows if iteration and int(row.split(",", 1)[0]) <= iteration]
     _write_text(path, "\n".join([header, *kept]) + "\n")
 
 
