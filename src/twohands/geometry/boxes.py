@@ -7,7 +7,7 @@ it is one multiplication.
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -197,24 +197,35 @@ def warp_image(
 
 def _reduced(image: Array, image_from_crop: NDArray[np.float64], size: int) -> tuple[Array, NDArray[np.float64]]:
     """The part of an image that a crop shows, with pixels about as large as the crop's at its centre, and the way there
-    from the crop; image and matrix as they are where the image's pixels are not half as large."""
+    from the crop; image and matrix as they are where the image's pixels are over two thirds as large."""
     depth = image_from_crop[2] @ [size / 2, size / 2, 1.0]
     area = np.abs(np.linalg.det(image_from_crop) / depth**3)  # of the crop's central pixel, in pixels of the image
     block = round(float(np.sqrt(area))) if np.isfinite(area) else 1
     if block < 2:
         return image, image_from_crop
     height, width = image.shape[:2]
-    corners = apply_homography(image_from_crop, np.array([[0.0, 0], [size, 0], [0, size], [size, size]]))
-    if not np.isfinite(corners).all():  # the crop reaches behind the camera
-        corners = np.array([[0.0, 0], [width, height]])
-    last = np.array([width - 1, height - 1])
-    u0, v0 = (np.clip(corners.min(axis=0) - block, 0, last) // block * block).astype(int)
-    u1, v1 = (np.clip(corners.max(axis=0) + block, [u0 + 1, v0 + 1], [width, height])).astype(int)
-    part = image[v0:v1, u0:u1]
-    part = cv2.copyMakeBorder(part, 0, -len(part) % block, 0, -part.shape[1] % block, cv2.BORDER_CONSTANT, value=0)
-    small = cv2.resize(part, (part.shape[1] // block, part.shape[0] // block), interpolation=cv2.INTER_AREA)
+    ends: list[tuple[float, float]] = []
+    for corner in ([0.0, 0.0, 1.0], [size, 0.0, 1.0], [0.0, size, 1.0], [size, size, 1.0]):
+        x, y, z = (float(number) for number in image_from_crop @ corner)
+        ends += [(x / z, y / z)] if z > 0 else [(0.0, 0.0), (width, height)]  # one behind the camera is seen anywhere
+    (u0, u1), (v0, v1) = (
+        _blocks(min(along), max(along), block, whole)
+        for along, whole in zip(zip(*ends, strict=True), (width, height), strict=True)
+    )
+    part: NDArray[Any] = np.asarray(image[v0:v1, u0:u1])
+    rows, columns = -(-len(part) // block), -(-part.shape[1] // block)
+    below, right = rows * block - len(part), columns * block - part.shape[1]
+    part = np.asarray(cv2.copyMakeBorder(part, 0, below, 0, right, cv2.BORDER_CONSTANT, value=0))
+    small = cv2.resize(part, (columns, rows), interpolation=cv2.INTER_AREA)
     small_from_image = np.array([[1 / block, 0, -u0 / block], [0, 1 / block, -v0 / block], [0, 0, 1.0]])
     return small, small_from_image @ image_from_crop
+
+
+def _blocks(low: float, high: float, block: int, whole: int) -> tuple[int, int]:
+    """Where the blocks of a row of `whole` pixels begin and end that hold what lies between `low` and `high`, with one
+    block more on either side; at least one pixel."""
+    first = int(min(max(low - block, 0), whole - 1)) // block * block
+    return first, int(min(max(high + block, first + 1), whole))
 
 
 def _checked_box(box_px: Array) -> tuple[float, float, float, float]:

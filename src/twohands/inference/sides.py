@@ -37,7 +37,7 @@ ONE_PLACE_COST: Final = 1.0
 WHOLE_SEG_WEIGHT: Final = 0.4
 """As `SEG_WEIGHT`, where two candidates in one place are taken for one hand and PoseNet2D sees the whole of it. With
 earlier weights the parts alone told the side of 91 % of 86 such hands in photographs, the whole of 94 %, HandSegNet of
-67 %. In generated pictures 0.2 to 0.5 are alike; the photographs had a say in the choice, and in that of `TURN_BELOW`."""
+67 %. In generated pictures 0.2 to 0.5 are alike; the photographs had a say in this choice and in `TURN_BELOW`'s."""
 REMEMBERED_THRESHOLD: Final = 0.1
 """As `CANDIDATE_THRESHOLD`, for a hand that was there one frame of a video before."""
 MEMORY: Final = 0.5
