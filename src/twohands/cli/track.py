@@ -83,7 +83,7 @@ def run(args: TrackArgs) -> int:
     """Carry out `twohands track`."""
     hand_length_m = _hand_length_m(args.hand_length)
     camera = _camera(args)
-    folder = os.path.isdir(args.input)
+    folder = os.path.isdir(args.input)  # Path.is_dir raises for names too long for a file
     files = list_images(args.input) if folder else [args.input]
     pictures = _readable(files, camera, args.fov) if folder else [_open(args.input, 0, camera, args.fov)]
     out = args.out or Path("out") / "track" / (args.input.resolve().name if folder else args.input.stem)
@@ -99,6 +99,8 @@ def run(args: TrackArgs) -> int:
         source=str(args.input),
         skip=folder,
     )
+    if skipped := len(files) - len(record["frames"]):
+        _say(f"{skipped} of {len(files)} images skipped")
     if not record["frames"]:
         raise InputError(f"{args.input}: none of its {len(files)} images can be used")
     if args.json:
@@ -259,22 +261,18 @@ def assumed_camera(width: int, height: int) -> PinholeCamera:
 
 
 def _readable(files: list[Path], camera: PinholeCamera | None, fov_deg: float | None) -> Iterator[Picture]:
-    """Pictures of a folder one by one, with progress; those that cannot be used are named, and counted at the end."""
+    """Pictures of a folder one by one, with progress; those that cannot be used are named."""
     from rich.console import Console
     from rich.progress import track
 
     console = Console(stderr=True)
-    skipped = 0
     for index, path in enumerate(track(files, "tracking", console=console, disable=not console.is_terminal)):
         try:
             picture = _open(path, index, camera, fov_deg)
         except TwoHandsError as error:
             _say(f"skipped {error}")
-            skipped += 1
             continue
         yield picture
-    if skipped:
-        _say(f"{skipped} of {len(files)} images skipped")
 
 
 def _result_names(files: list[Path]) -> list[str]:

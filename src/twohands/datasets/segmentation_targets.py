@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from twohands.datasets.hand_views import boxes_inside, hand_classes, hand_points, random_roll
-from twohands.datasets.transforms import PhotometricConfig, jitter_colours
+from twohands.datasets.transforms import PhotometricConfig, jitter_colours, nearest_cells
 from twohands.errors import DataFormatError, InputError
 from twohands.geometry.segmentation import LETTERBOX_GREY, letterbox
 from twohands.types import HandSample
@@ -100,9 +100,7 @@ def segmentation_target(
     corner = np.array([place.left * width, place.top * height])
     classes = np.full((height, width), OUTSIDE, np.uint8)
     shown = place.content(classes)
-    rows, cols = (
-        ((np.arange(n) + 0.5) * full / n).astype(int) for n, full in zip(shown.shape, labels.shape, strict=True)
-    )
+    rows, cols = (nearest_cells(n, full) for n, full in zip(shown.shape, labels.shape, strict=True))
     shown[:] = hand_classes(labels[np.ix_(rows, cols)])
     points = points * scale + corner
     if rng is not None:

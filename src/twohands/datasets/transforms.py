@@ -146,11 +146,17 @@ def spoil_masks(classes: np.ndarray, arm: np.ndarray, side: int, config: MaskCon
         out[_blob(out == taken, rng, 0.12) & (out == taken)] = given
     if rng.random() < config.coarse:
         small = max(8, round(size / rng.uniform(1.5, 4.0)))
-        # By the cells' middles: cv2.INTER_NEAREST takes their corners, which moves the mask right and down.
-        middles = ((np.arange(small) + 0.5) * size / small).astype(int)
-        shown = middles[((np.arange(size) + 0.5) * small / size).astype(int)]
+        shown = nearest_cells(small, size)[nearest_cells(size, small)]
         out = out[np.ix_(shown, shown)]
     return out
+
+
+def nearest_cells(count: int, of: int) -> np.ndarray:
+    """(count,) int: for each of `count` cells in a row, which of `of` cells along the same length holds its middle.
+
+    cv2.INTER_NEAREST takes the cell's corner instead, which moves labels right and down.
+    """
+    return ((np.arange(count) + 0.5) * of / count).astype(int)
 
 
 def _noise_field(shape: tuple[int, int], rng: np.random.Generator) -> np.ndarray:

@@ -190,9 +190,8 @@ def export_preset(
         **dict(further or {}),
     }
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "card.json").unlink(
-        missing_ok=True
-    )  # else, if this is cut short, an older card stands beside newer networks
+    # The card comes last: an older one must not stand beside newer networks if this is cut short.
+    (folder / "card.json").unlink(missing_ok=True)
     for key, network in networks.items():
         export_network(network, folder / f"{key}.onnx", notes[key])
     partial = folder / "card.json.partial"

@@ -204,18 +204,16 @@ def _reduced(image: Array, image_from_crop: NDArray[np.float64], size: int) -> t
     if block < 2:
         return image, image_from_crop
     height, width = image.shape[:2]
-    ends: list[tuple[float, float]] = []
-    for corner in ([0.0, 0.0, 1.0], [size, 0.0, 1.0], [0.0, size, 1.0], [size, size, 1.0]):
-        x, y, z = (float(number) for number in image_from_crop @ corner)
-        ends += [(x / z, y / z)] if z > 0 else [(0.0, 0.0), (width, height)]  # one behind the camera is seen anywhere
-    (u0, u1), (v0, v1) = (
-        _blocks(min(along), max(along), block, whole)
-        for along, whole in zip(zip(*ends, strict=True), (width, height), strict=True)
-    )
+    corners = apply_homography(image_from_crop, np.array([[0.0, 0], [size, 0], [0, size], [size, size]]))
+    ends = (0, 0, width, height)  # of a crop that reaches behind the camera
+    if np.isfinite(corners).all():
+        ends = box_in_picture(corners, width, height)
+    left, top, right, bottom = (float(end) for end in ends)
+    (u0, u1), (v0, v1) = _blocks(left, right, block, width), _blocks(top, bottom, block, height)
     part: NDArray[Any] = np.asarray(image[v0:v1, u0:u1])
     rows, columns = -(-len(part) // block), -(-part.shape[1] // block)
-    below, right = rows * block - len(part), columns * block - part.shape[1]
-    part = np.asarray(cv2.copyMakeBorder(part, 0, below, 0, right, cv2.BORDER_CONSTANT, value=0))
+    below, beside = rows * block - len(part), columns * block - part.shape[1]
+    part = np.asarray(cv2.copyMakeBorder(part, 0, below, 0, beside, cv2.BORDER_CONSTANT, value=0))
     small = cv2.resize(part, (columns, rows), interpolation=cv2.INTER_AREA)
     small_from_image = np.array([[1 / block, 0, -u0 / block], [0, 1 / block, -v0 / block], [0, 0, 1.0]])
     return small, small_from_image @ image_from_crop
