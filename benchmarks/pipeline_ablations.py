@@ -384,8 +384,8 @@ def smoothing(predictions: Predictions, labels: Sequence[HandSample], fps: float
     rows: dict[str, Values] = {}
     for row in smoothing_sweep(predictions, labels, fps=fps).rows:
         values = {key: metric.value for key, metric in row.metrics.items()}
-        rows["off" if row.length is None else f"queue {row.length}, degree {row.degree}"] = values
-    off = rows["off"]
+        rows[row.name] = values
+    off = rows["no smoothing"]
     for values in rows.values():
         values["range_median_added"] = values["range_median"] - off["range_median"]
         if (jitter := off.get("acceleration_radial", 0.0)) > 0:  # missing where no hand was found in three frames

@@ -49,7 +49,7 @@ def main() -> None:
     for length in LENGTHS:
         cells = []
         for degree in DEGREES:
-            measured = measured_noise_factor(RangeSmoothing(length, degree), noise_m)
+            measured = measured_noise_factor(RangeSmoothing(length, degree, fade=1.0), noise_m)
             cells.append(f"{noise_factor(length, degree):.3f} / {measured:.3f}; {100 * lag(length, degree):.1f} %")
         print(f"| {length} | " + " | ".join(cells) + " |")
 

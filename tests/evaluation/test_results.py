@@ -21,16 +21,16 @@ def summary_of(kind: str = "ego3dhands") -> Summary:
 
 def sweep() -> dict:
     rows = [
-        {"length": length, "degree": degree, "metrics": dict(zip(METRICS, values, strict=True))}
-        for length, degree, values in [
-            (None, None, (2.0, 1.0, 0.9, 20.0, 8.0)),
-            (8, 1, (1.5, 1.0, 0.9, 21.0, 4.0)),
-            (15, 2, (1.5, 1.25, 0.95, 22.0, None)),
+        {"name": name, "length": n, "degree": degree, "fade": fade, "metrics": dict(zip(METRICS, values, strict=True))}
+        for name, n, degree, fade, values in [
+            ("none at all", None, None, None, (2.0, 1.0, 0.9, 20.0, 8.0)),
+            ("eight", 8, 1, 1.0, (1.5, 1.0, 0.9, 21.0, 4.0)),
+            ("fifteen", 15, 2, 0.75, (1.5, 1.25, 0.95, 22.0, None)),
         ]
     ]
     return {
         "dataset": "video", "weights": "w", "frames": 9, "sequences": 3, "fps": 30.0,
-        "command": "twohands eval sweep v", "default": {"length": 8, "degree": 1}, "rows": rows,
+        "command": "twohands eval sweep v", "rows": rows,
     }  # fmt: skip
 
 
@@ -56,17 +56,17 @@ def test_ours_paper_mediapipe() -> None:
 
 def test_sweep_by_hand() -> None:
     assert sweep_table(sweep())[1:] == [
-        ["off", "-", "2", "1", "0.900", "20", "8"],
-        ["8", "1", "1.500", "1", "0.900", "21", "4"],
-        ["15", "2", "1.500", "1.250", "0.950", "22", "n/a"],
+        ["off", "-", "-", "2", "1", "0.900", "20", "8"],
+        ["8", "1", "1", "1.500", "1", "0.900", "21", "4"],
+        ["15", "2", "0.75", "1.500", "1.250", "0.950", "22", "n/a"],
     ]
     assert sweep_findings(sweep()) == [
-        "Best by range, mean (cm): queue 8, degree 1, 1.500.",  # the first of two equal ones
-        "Best by range, median (cm): no smoothing, 1.",
-        "Best by within 7 cm: queue 15, degree 2, 0.950.",
-        "Best by CS-MPJPE (mm): no smoothing, 20.",
-        "Best by acceleration error, radial (m/s2): queue 8, degree 1, 4.",
-        "The tracker's default: queue 8, degree 1.",
+        "Best by range, mean (cm): eight, 1.500.",  # the first of two equal ones
+        "Best by range, median (cm): none at all, 1.",
+        "Best by within 7 cm: fifteen, 0.950.",
+        "Best by CS-MPJPE (mm): none at all, 20.",
+        "Best by acceleration error, radial (m/s2): eight, 4.",
+        "The tracker's default: fifteen.",
     ]
 
 

@@ -11,7 +11,7 @@ from twohands.evaluation.comparison import compare
 from twohands.evaluation.completion import complete_hand
 from twohands.evaluation.predictions import Predictions, predict
 from twohands.inference.smoothing_sweep import smoothing_sweep, with_smooth_ranges
-from twohands.inference.tracker import HandTracker, RangeSmoothing, moved_to_range
+from twohands.inference.tracker import DEFAULT_SMOOTHING, HandTracker, RangeSmoothing, moved_to_range
 from twohands.skeleton import ROOT
 from twohands.types import HandPose, HandSample, TwoHandPose
 
@@ -46,8 +46,13 @@ def test_two_settings_by_hand() -> None:
     samples = video()
     sweep = smoothing_sweep(predicted(samples), iter(samples), fps=10, lengths=(2, 3), degrees=(0,)).to_dict()
     assert (sweep["frames"], sweep["sequences"]) == (12, 2)
-    raw, off, mean = sweep["rows"]
-    assert (raw["length"], off["length"], mean["length"]) == (None, 2, 3)
+    raw, off, mean, default = sweep["rows"]
+    assert [row["length"] for row in sweep["rows"]] == [None, 2, 3, DEFAULT_SMOOTHING.length]
+    assert [row["fade"] for row in sweep["rows"]] == [None, 1, 1, DEFAULT_SMOOTHING.fade]
+    assert (raw["name"], mean["name"]) == ("no smoothing", "queue 3, degree 0")
+    assert default["name"] == (
+        f"queue {DEFAULT_SMOOTHING.length}, degree {DEFAULT_SMOOTHING.degree}, fade {DEFAULT_SMOOTHING.fade}"
+    )
     assert raw["metrics"]["range_mean"] == pytest.approx((3 + 3 + 3) / 6)
     assert off["metrics"] == pytest.approx(raw["metrics"])
     assert mean["metrics"]["range_mean"] == pytest.approx((0 + 3 + 1 + 0 + 1 + 0) / 6)

@@ -25,7 +25,7 @@ from twohands.types import HandPose, TwoHandPose
 FPS = 30.0
 HAND_LENGTH_M = 0.09
 ABSENT = HandPose(present=False)
-PARABOLA = RangeSmoothing(length=15, degree=2)
+PARABOLA = RangeSmoothing(length=15, degree=2, fade=1.0)
 """The setting for which the numbers below were worked out; the default may change with the sweep."""
 
 
@@ -91,6 +91,18 @@ def test_least_squares_by_hand(times, values, degree, at, expected):
     assert polynomial_value(times, values, degree, at) == pytest.approx(float(expected), abs=1e-14)
 
 
+@pytest.mark.parametrize(
+    ("values", "degree", "at", "expected"),
+    [
+        ((0, 0, 3), 0, 2, Fraction(12, 7)),  # 3 / (1 + 1/2 + 1/4)
+        ((4, 0, 0), 0, 0, Fraction(4, 7)),
+        ((0, 0, 3), 1, 2, Fraction(36, 13)),  # counting 1/4, 1/2, 1: slope 24/13 about (10/7, 12/7)
+    ],
+)
+def test_a_fading_fit_by_hand(values, degree, at, expected):
+    assert polynomial_value((0, 1, 2), values, degree, at, 0.5) == pytest.approx(float(expected), abs=1e-14)
+
+
 @pytest.mark.parametrize("degree", [0, 1, 2, 3, 5])
 def test_a_polynomial_of_the_degree_is_its_own_fit(degree):
     rng = np.random.default_rng(degree)
@@ -100,6 +112,8 @@ def test_a_polynomial_of_the_degree_is_its_own_fit(degree):
     fitted = polynomial_value(times, np.polyval(coefficients, times), degree, at)
     np.testing.assert_allclose(fitted, np.polyval(coefficients, at), rtol=1e-9, atol=1e-9)
     if degree:
+        fading = polynomial_value(times, np.polyval(coefficients, times), degree, at, 0.7)
+        np.testing.assert_allclose(fading, fitted, rtol=1e-9, atol=1e-9)
         lower = polynomial_value(times, np.polyval(coefficients, times), degree - 1, at)
         assert np.abs(lower - np.polyval(coefficients, at)).max() > 0.01
 
@@ -152,7 +166,7 @@ def test_noise_factors_are_those_of_theory(degree):
 @pytest.mark.parametrize(("length", "degree"), [(15, 2), (8, 1), (5, 1)])
 def test_white_noise_is_reduced_by_the_factor_of_theory(length, degree):
     noise = 0.01 * np.random.default_rng(2).standard_normal(2500)
-    results = np.array(smoothed(0.4 + noise, RangeSmoothing(length, degree)))[length:]
+    results = np.array(smoothed(0.4 + noise, RangeSmoothing(length, degree, fade=1.0)))[length:]
     assert results.std() / noise.std() == pytest.approx(math.sqrt(CLOSED_FORM[degree](length)), rel=0.05)
     assert results.mean() == pytest.approx(0.4, abs=1e-3)
 
@@ -236,7 +250,7 @@ def test_an_outlier_leaves_no_trace():
 )
 def test_the_gate_by_hand(radii, floor, limit):
     for deviation, refused in ((0.999 * limit, False), (1.001 * limit, True)):
-        range_filter = RangeFilter(RangeSmoothing(degree=0, scale_floor=floor))
+        range_filter = RangeFilter(RangeSmoothing(degree=0, fade=1.0, scale_floor=floor))
         for i, radius in enumerate([*radii, np.mean(radii) + deviation]):
             range_filter.update(i / FPS, radius)
         assert range_filter.predicting == refused
@@ -381,6 +395,9 @@ def test_time_must_advance(time):
     [
         {"length": 0},
         {"degree": -1},
+        {"fade": 0.0},
+        {"fade": 1.1},
+        {"fade": math.nan},
         {"gate": 0.0},
         {"gate": math.nan},
         {"scale_floor": -0.1},

@@ -20,7 +20,7 @@ SWEEP_COLUMNS: Final = (
 
 SWEEP_TEXT: Final = (
     "The root joint's range smoothed by a polynomial over the latest frames, current frame included, as it would run "
-    "live. Direction and pose are each frame's own."
+    "live. Fade: what a frame counts beside the next newer one. Direction and pose are each frame's own."
 )
 
 
@@ -66,10 +66,11 @@ def comparison_table(summary: Summary) -> Table:
 
 def sweep_table(sweep: dict[str, Any]) -> Table:
     """One row a setting, the unsmoothed ranges first."""
-    table: Table = [["queue", "degree", *(name for _, name, _ in SWEEP_COLUMNS)]]
+    table: Table = [["queue", "degree", "fade", *(name for _, name, _ in SWEEP_COLUMNS)]]
     for row in sweep["rows"]:
-        setting = ["off", "-"] if row["length"] is None else [str(row["length"]), str(row["degree"])]
-        table.append([*setting, *(_number(row["metrics"].get(key)) for key, _, _ in SWEEP_COLUMNS)])
+        setting = [row[name] for name in ("length", "degree", "fade")]
+        shown = ["off", "-", "-"] if None in setting else [f"{value:g}" for value in setting]
+        table.append([*shown, *(_number(row["metrics"].get(key)) for key, _, _ in SWEEP_COLUMNS)])
     return table
 
 
@@ -80,9 +81,8 @@ def sweep_findings(sweep: dict[str, Any]) -> list[str]:
         rows = [row for row in sweep["rows"] if row["metrics"].get(key) is not None]
         if rows:
             best = better(rows, key=lambda row: row["metrics"][key])  # the first, and shortest queue, of equal ones
-            found.append(f"Best by {name}: {_setting(best)}, {_number(best['metrics'][key])}.")
-    default = sweep["default"]
-    return [*found, f"The tracker's default: {_setting(default)}."]
+            found.append(f"Best by {name}: {best['name']}, {_number(best['metrics'][key])}.")
+    return [*found, f"The tracker's default: {sweep['rows'][-1]['name']}."]
 
 
 def _dataset(summary: Summary) -> list[str]:
@@ -132,10 +132,6 @@ def _printed(numbers: Sequence[Published]) -> str:
     """The paper's numbers for one metric, each with what it is about where there are several kinds; "" for none."""
     kinds = [number.system.removeprefix("paper").strip(" ,+") for number in numbers]
     return "; ".join(f"{n.printed} ({kind})" if kind else n.printed for n, kind in zip(numbers, kinds, strict=True))
-
-
-def _setting(setting: dict[str, Any]) -> str:
-    return "no smoothing" if setting["length"] is None else f"queue {setting['length']}, degree {setting['degree']}"
 
 
 def _number(value: float | None) -> str:

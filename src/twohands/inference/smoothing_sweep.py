@@ -22,7 +22,7 @@ from twohands.evaluation.report import Metric
 from twohands.inference.tracker import DEFAULT_SMOOTHING, HandTracker, RangeSmoothing
 from twohands.types import HandSample, TwoHandPose
 
-VERSION: Final = 1
+VERSION: Final = 2
 LENGTHS: Final = (5, 8, 10, 15, 20)
 DEGREES: Final = (1, 2, 3)
 METRICS: Final = ("range_mean", "range_median", "range_3.5cm", "range_7cm", "cs_mpjpe", "acceleration_radial")
@@ -33,13 +33,21 @@ class SweepRow:
     """One setting.
 
     Attributes:
-        length, degree: of the queue; None for the ranges as predicted.
+        length, degree, fade: of the queue (`RangeSmoothing`); None for the ranges as predicted.
         metrics: by key, of METRICS.
     """
 
     length: int | None
     degree: int | None
+    fade: float | None
     metrics: dict[str, Metric]
+
+    @property
+    def name(self) -> str:
+        """The setting in words."""
+        if self.length is None:
+            return "no smoothing"
+        return f"queue {self.length}, degree {self.degree}" + (f", fade {self.fade:g}" if self.fade != 1 else "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +58,7 @@ class Sweep:
         dataset, dataset_id, weights: as in the predictions.
         frames, sequences: how many.
         fps: frames a second.
-        rows: the ranges as predicted first.
+        rows: the ranges as predicted first, the tracker's default last.
         command: what made it.
     """
 
@@ -74,11 +82,12 @@ class Sweep:
             "sequences": self.sequences,
             "fps": self.fps,
             "command": self.command,
-            "default": {"length": DEFAULT_SMOOTHING.length, "degree": DEFAULT_SMOOTHING.degree},
             "rows": [
                 {
+                    "name": row.name,
                     "length": row.length,
                     "degree": row.degree,
+                    "fade": row.fade,
                     "metrics": {
                         key: None if np.isnan(metric.value) else metric.value for key, metric in row.metrics.items()
                     },
@@ -97,7 +106,8 @@ def smoothing_sweep(
     degrees: Sequence[int] = DEGREES,
     command: str = "",
 ) -> Sweep:
-    """Scores every setting, and no smoothing at all.
+    """Scores plain regression (`RangeSmoothing.fade` 1) at every length and degree, no smoothing at all, and the
+    tracker's default.
 
     Args:
         predictions: N frames; those of one folder are one sequence.
@@ -115,7 +125,7 @@ def smoothing_sweep(
     videos = sequences(predictions.sources)
     if max(len(frames) for frames in videos) < 3:
         raise InputError("no folder holds three frames or more: smoothing needs video, one folder a sequence")
-    settings = [RangeSmoothing(n, degree) for n in lengths for degree in degrees if n < 1 or degree < n]
+    settings = [RangeSmoothing(n, degree, fade=1.0) for n in lengths for degree in degrees if n < 1 or degree < n]
     if not settings:
         raise InputError(f"no setting to try: every degree of {degrees} needs a longer queue than those of {lengths}")
     labels = [without_picture(sample) for sample, _ in zip(samples, predictions.sources, strict=False)]
@@ -127,9 +137,10 @@ def smoothing_sweep(
     def row(ranged: Predictions, smoothing: RangeSmoothing | None) -> SweepRow:
         no_pose = replace(ranged, canonical=np.full_like(ranged.canonical, np.nan))  # what smoothing leaves as it is
         metrics = {metric.key: metric for metric in metrics_of(compare(no_pose, labels, protocol))}
-        setting = (None, None) if smoothing is None else (smoothing.length, smoothing.degree)
+        setting = (None,) * 3 if smoothing is None else (smoothing.length, smoothing.degree, smoothing.fade)
         return SweepRow(*setting, {key: metrics[key] for key in METRICS if key in metrics})
 
+    settings.append(DEFAULT_SMOOTHING)
     rows = [row(raw, None), *(row(with_smooth_ranges(raw, poses, smoothing), smoothing) for smoothing in settings)]
     return Sweep(
         predictions.dataset,

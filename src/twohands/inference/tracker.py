@@ -34,17 +34,20 @@ _SPARE_FOR_SCALE = 3
 
 @dataclass(frozen=True, slots=True)
 class RangeSmoothing:
-    """How the range is smoothed. The paper gives no number; the defaults are what `twohands eval sweep` says on made
-    sequences at 30 frames a second: as accurate as unsmoothed ranges, half their radial acceleration error.
+    """How the range is smoothed. The paper gives no number, and its regression counts all radii alike (`fade` 1); the
+    defaults were chosen on made sequences at 30 frames a second: as accurate as unsmoothed ranges, with little over
+    half of their radial acceleration error. `twohands eval sweep` compares them with queues that do not fade.
 
     Raises:
         InputError: a value is out of its range.
     """
 
-    length: int = 5
+    length: int = 8
     "Radii in the queue, the current one included; 1 or 2 turn smoothing off."
     degree: int = 1
     "Degree of the polynomial; lower while the queue fills."
+    fade: float = 0.65
+    "What a radius counts in the regression beside the next newer one."
     gate: float = 3.0
     "Largest deviation from the prediction, in its robust standard deviations; inf accepts all."
     scale_floor: float = 0.08
@@ -63,6 +66,8 @@ class RangeSmoothing:
         for name in ("gate", "max_gap_s"):
             if not getattr(self, name) > 0:
                 raise InputError(f"range smoothing: {name} must be above 0, got {getattr(self, name)}")
+        if not 0 < self.fade <= 1:
+            raise InputError(f"range smoothing: fade must be above 0 and at most 1, got {self.fade}")
         if not 0 <= self.scale_floor < math.inf:
             raise InputError(f"range smoothing: scale_floor must be finite and not negative, got {self.scale_floor}")
 
@@ -70,7 +75,7 @@ class RangeSmoothing:
 DEFAULT_SMOOTHING = RangeSmoothing()
 
 
-def polynomial_weights(times: np.ndarray, degree: int, at: np.ndarray | float) -> np.ndarray:
+def polynomial_weights(times: np.ndarray, degree: int, at: np.ndarray | float, fade: float = 1.0) -> np.ndarray:
     """Weights w with which the least-squares polynomial's value is w @ values, whatever the values.
 
     The weights of a fit sum to 1. For values with independent noise of standard deviation 1, that of the fitted value
@@ -80,6 +85,8 @@ def polynomial_weights(times: np.ndarray, degree: int, at: np.ndarray | float) -
         times: (N,) finite, any unit, in any order.
         degree: of the polynomial, 0 or more.
         at: (...) or a number, where the polynomial is read; same unit.
+        fade: above 0 to 1; the squared deviation of each value counts so much beside that of the one after it, in the
+            order given.
 
     Returns:
         (..., N) float64, unitless.
@@ -99,15 +106,19 @@ def polynomial_weights(times: np.ndarray, degree: int, at: np.ndarray | float) -
         )
     middle, half = (times.max() + times.min()) / 2, (times.max() - times.min()) / 2 or 1.0
     basis = legendre.legvander((times - middle) / half, degree)  # (N, degree + 1)
-    weights = legendre.legvander((np.atleast_1d(at) - middle) / half, degree) @ np.linalg.pinv(basis)
+    counts = fade ** (np.arange(len(times))[::-1] / 2)
+    fit = np.linalg.pinv(counts[:, None] * basis) * counts  # values -> coefficients
+    weights = legendre.legvander((np.atleast_1d(at) - middle) / half, degree) @ fit
     return weights.reshape(*at.shape, len(times))
 
 
-def polynomial_value(times: np.ndarray, values: np.ndarray, degree: int, at: np.ndarray | float) -> np.ndarray:
+def polynomial_value(
+    times: np.ndarray, values: np.ndarray, degree: int, at: np.ndarray | float, fade: float = 1.0
+) -> np.ndarray:
     """Value of the polynomial that fits values over times best in the sense of least squares.
 
     Args:
-        times, degree, at: as `polynomial_weights`.
+        times, degree, at, fade: as `polynomial_weights`.
         values: (N,) any unit.
 
     Returns:
@@ -118,7 +129,7 @@ def polynomial_value(times: np.ndarray, values: np.ndarray, degree: int, at: np.
 
     Source: paper section 4.4 ("polynomial regression"), SPEC 6.
     """
-    return polynomial_weights(times, degree, at) @ np.asarray(values, np.float64)
+    return polynomial_weights(times, degree, at, fade) @ np.asarray(values, np.float64)
 
 
 class RangeFilter:
@@ -211,7 +222,7 @@ class RangeFilter:
         """
         if len(self._queue) < _FEWEST:
             return None
-        radius = float(polynomial_value(self.times, self.radii_m, self._predicting_degree(), time))
+        radius = self._value(self._predicting_degree(), time)
         return radius if radius > 0 else None
 
     def _restart(self, queue: list[tuple[float, float]]) -> None:
@@ -226,8 +237,12 @@ class RangeFilter:
         if len(self._queue) < _FEWEST:
             return newest
         degree = min(self.smoothing.degree, len(self._queue) - 1)
-        radius = float(polynomial_value(self.times, self.radii_m, degree, newest_time))
+        radius = self._value(degree, newest_time)
         return radius if radius > 0 else newest
+
+    def _value(self, degree: int, time: float) -> float:
+        """The queue's polynomial at a time."""
+        return float(polynomial_value(self.times, self.radii_m, degree, time, self.smoothing.fade))
 
     def _refuses(self, time: float, radius_m: float) -> bool:
         """Whether a radius is an outlier to the queue."""
@@ -236,7 +251,8 @@ class RangeFilter:
         if prediction is None or spare < _SPARE_FOR_SCALE:
             return False
         times, radii = self.times, self.radii_m
-        weights = polynomial_weights(times, self._predicting_degree(), np.append(times, time))  # (n + 1, n)
+        at = np.append(times, time)
+        weights = polynomial_weights(times, self._predicting_degree(), at, self.smoothing.fade)  # (n + 1, n)
         residuals = radii - weights[:-1] @ radii
         scale = _MAD_TO_SIGMA * float(np.median(np.abs(residuals))) * math.sqrt(len(radii) / spare)
         scale = max(scale, self.smoothing.scale_floor * prediction)
