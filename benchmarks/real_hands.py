@@ -50,6 +50,10 @@ CROP_PX = 256
 RANGE_CM = 7.0
 PHOTO_FOV = 60.0
 """Horizontal field of view that is assumed for photographs, degrees."""
+ABOUT = (
+    "What these pictures are: [evaluation.md](evaluation.md#real-photographs). No network was trained on them; the "
+    "crops had a say in the choice of `TURN_BELOW` and `WHOLE_SEG_WEIGHT` (`inference.sides`)."
+)
 SHEET_COLUMNS = 5
 SHEET_TILES = 25
 CAPTION_PX = 18
@@ -278,8 +282,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     in_photos = np.array([hands_found(estimator, read_image(path)) for path in photos], bool).reshape(-1, 2)
     if photos:
         figures += photo_figures(in_photos)
-    title = f"Weights {args.weights}; hand length {100 * length_m:.2f} cm."
-    text = f"{title}\n\n{table(figures)}"
+    title = f"# Real photographs: {args.weights}"
+    text = "\n\n".join([title, ABOUT, f"Hand length {100 * length_m:.2f} cm.", table(figures)])
     print(text)
     if args.out:
         errors_px = errors_2d_px(comparison).mean(axis=1)

@@ -28,7 +28,9 @@ class MissingExtraError(TwoHandsError):
     """
 
     def __init__(self, feature: str, extra: str) -> None:
-        super().__init__(f"{feature} needs the extra '{extra}': pip install 'twohands[{extra}]'")
+        super().__init__(
+            f"{feature} needs the extra '{extra}': pip install 'twohands[{extra}]', or '.[{extra}]' in a checkout"
+        )
         self.feature, self.extra = feature, extra
 
     def __reduce__(self) -> tuple[type[MissingExtraError], tuple[str, str]]:

@@ -1,5 +1,6 @@
 """`twohands generate` through the command line: what it says, and what it refuses without touching anything."""
 
+import json
 import signal
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import pytest
 from twohands.cli.main import main
 from twohands.cli.progress import RateLog, duration
 from twohands.errors import RendererError
+from twohands.synth.config import WILD
 from twohands.synth.render import blender, raster
 
 SMALL = ["--count", "3", "--workers", "1", "--config.width", "128", "--config.height", "72"]
@@ -51,6 +53,15 @@ def test_nonsense_is_one_line_and_exit_code_2(tmp_path, capsys, arguments, messa
     assert generate("--out", tmp_path / "set", *arguments) == 2
     assert message in one_line(capsys)
     assert not list(tmp_path.rglob("0*"))
+
+
+def test_what_is_given_counts_even_where_it_is_the_other_preset_s_default(tmp_path):
+    """Named case: --preset wild --config.sensor 0 once kept the camera's noise, for 0 is preset paper's default."""
+    given = ["--preset", "wild", "--config.sensor", "0", "--config.fov", "None"]
+    assert generate("--out", tmp_path / "set", *given) == 0
+    config = json.loads((tmp_path / "set" / "manifest.json").read_text())["config"]
+    assert config["sensor"] == 0 and config["fov"] is None and (config["width"], config["height"]) == (128, 72)
+    assert all(config[name] == getattr(WILD, name) for name in ("sleeves", "gestures", "free_view", "hand_length"))
 
 
 def test_bad_backgrounds_are_one_line(tmp_path, capsys):

@@ -6,9 +6,11 @@ writes only what is missing. Kinds of sets and splits never share scenes, even w
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import os
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -74,9 +76,17 @@ class GenerateArgs:
     """paper: one character and one camera, as in the paper; wild: all kinds of adults, cameras and clothes, hands that
     meet. Settings given as --config.NAME change it."""
     config: SynthConfig = field(default_factory=SynthConfig)
-    """Distributions of the scenes; the defaults shown are those of the preset paper."""
+    """Distributions of the scenes; the defaults are those of the preset."""
     motion: MotionConfig = field(default_factory=MotionConfig)
     """Distributions of the motion (dynamic)."""
+
+
+def defaults(words: Sequence[str]) -> GenerateArgs:
+    """What the options start from: the settings of the preset that is asked for."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--preset", nargs="?")
+    preset = parser.parse_known_args(words)[0].preset
+    return GenerateArgs(kind=tyro.MISSING, out=tyro.MISSING, config=PRESETS.get(preset, PAPER))
 
 
 def run(args: GenerateArgs) -> int:
@@ -88,20 +98,9 @@ def run(args: GenerateArgs) -> int:
     if args.engine == "ray":  # its workers have other working directories
         folders = {"backgrounds": args.backgrounds, "fabrics": args.fabrics}
         args = dataclasses.replace(args, **{name: path and path.absolute() for name, path in folders.items()})
-    args = dataclasses.replace(args, config=configured(args))
     if args.fabrics is not None and args.config.sleeves == args.config.gloves == 0:
         raise InputError("--fabrics needs people with sleeves or gloves: take --preset wild, or set --config.sleeves")
     return {"static": _static, "dynamic": _dynamic, "frames": _frames}[args.kind](args)
-
-
-def configured(args: GenerateArgs) -> SynthConfig:
-    """The preset with the settings that the user gave."""
-    given = {
-        entry.name: getattr(args.config, entry.name)
-        for entry in dataclasses.fields(SynthConfig)
-        if getattr(args.config, entry.name) != getattr(PAPER, entry.name)
-    }
-    return dataclasses.replace(PRESETS[args.preset], **given)
 
 
 def workers_of(args: GenerateArgs) -> int:

@@ -1,6 +1,7 @@
 """`twohands VERB ...`: find the verb's module, parse its arguments, run it, turn errors into one line.
 
-A verb's module exposes a frozen dataclass of arguments and `run(args) -> exit code`, annotated with that dataclass.
+A verb's module exposes a frozen dataclass of arguments and `run(args) -> exit code`, annotated with that dataclass;
+and, where defaults depend on what was given, `defaults(words) -> arguments`, tyro.MISSING for those that must be given.
 Only the chosen module is imported, so help and tracking need none of the extras.
 """
 
@@ -90,6 +91,7 @@ def _run_verb(verb: str, arguments: list[str]) -> int:
 
     hints = typing.get_type_hints(module.run)
     config_type = next(hint for name, hint in hints.items() if name != "return")
+    given = {"default": module.defaults(arguments)} if hasattr(module, "defaults") else {}
     try:
         args = tyro.cli(
             config_type,
@@ -97,6 +99,7 @@ def _run_verb(verb: str, arguments: list[str]) -> int:
             prog=f"twohands {verb}",
             description=module.__doc__,
             config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitSubcommandPrefixes),
+            **given,
         )
     except SystemExit as stop:  # tyro has printed its help (0) or what is wrong with the arguments (2)
         return int(stop.code or 0)
