@@ -137,7 +137,7 @@ def smoothing_sweep(
     def row(ranged: Predictions, smoothing: RangeSmoothing | None) -> SweepRow:
         no_pose = replace(ranged, canonical=np.full_like(ranged.canonical, np.nan))  # what smoothing leaves as it is
         metrics = {metric.key: metric for metric in metrics_of(compare(no_pose, labels, protocol))}
-        setting = (None,) * 3 if smoothing is None else (smoothing.length, smoothing.degree, smoothing.fade)
+        setting = (None, None, None) if smoothing is None else (smoothing.length, smoothing.degree, smoothing.fade)
         return SweepRow(*setting, {key: metrics[key] for key in METRICS if key in metrics})
 
     settings.append(DEFAULT_SMOOTHING)
