@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bisect
 import itertools
+import os
 import signal
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -46,6 +47,7 @@ Segment = Callable[[Sequence[np.ndarray]], list[Segmentation]]
 """Masks and boxes of pictures, each (H, W, 3) uint8."""
 OpenSegmentation = Callable[[Path], Segment]
 """What finds masks and boxes, from a file of HandSegNet."""
+WORKER_NICENESS = 19
 FAINT_THRESHOLD = 0.05
 """HandSegNet's score from which on the pose networks learn from its boxes and masks. In use, only higher scores come
 before them; but mistakes with such scores are too rare for the judge to learn from, and shown faint mistakes alone, it
@@ -413,7 +415,10 @@ def validation_batches(
 
 
 def _calm_worker(_: int) -> None:
-    """Leave the cores and the keyboard to the training process."""
+    """Leave the keyboard and, where there are too few for all, the cores to the training process: its threads wait for
+    each other, so that one that has to share its core holds up all of them."""
+    if hasattr(os, "nice"):
+        os.nice(WORKER_NICENESS)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     cv2.setNumThreads(0)
     torch.set_num_threads(1)
