@@ -65,7 +65,7 @@ class TrainArgs:
     seed: int | None = None
     """Seed of weights, order and random changes; default 0."""
     workers: int | None = None
-    """Processes that prepare batches; default 1."""
+    """Processes that prepare batches; default 2. They get what the steps leave of the processors."""
     threads: int | None = None
     """CPU threads of the training process; default: torch's choice."""
     set: tuple[str, ...] = ()

@@ -53,7 +53,7 @@ class DataConfig:
     segmentation: str = ""
     """Pose stages: checkpoint of a trained HandSegNet whose masks and boxes are mixed in (`AugmentConfig.predicted`),
     and from which validation crops; empty for true masks alone."""
-    workers: int = 1
+    workers: int = 2
     """Processes that prepare batches; 0 prepares them in the training process. The result is the same."""
 
     def __post_init__(self) -> None:
