@@ -209,7 +209,7 @@ def test_smoothing_by_hand():
 
     labels, found = pa.predict_all(samples, [estimate], pa.Memory(), dataset="still", weights="none")
     rows = pa.smoothing(found[estimate], labels, fps=30).rows
-    off, long = rows["off"], rows["queue 20, degree 1"]
+    off, long = rows["no smoothing"], rows["queue 20, degree 1"]
     assert off["range_median"] == pytest.approx(1.5) and off["range_3.5cm"] == 1
     assert off["range_median_added"] == 0 and off["acceleration_radial_less"] == 0
     assert long["range_median_added"] == pytest.approx(long["range_median"] - 1.5)
