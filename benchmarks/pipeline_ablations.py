@@ -46,7 +46,12 @@ from twohands.types import GlobalPose, HandCrop, HandSample, PinholeCamera, TwoH
 Estimate = Callable[[HandSample], TwoHandPose]
 ALWAYS = (-math.inf, math.inf)
 SIZES = (PictureLook((160, 288), mirrored=True), PictureLook((288, 512)))
-ROLLS: dict[str, tuple[float, ...]] = {"none": (), "15 degrees": (15.0,), "15 and -15 degrees": (15.0, -15.0)}
+ROLLS: dict[str, tuple[float, ...]] = {
+    "none": (),
+    "15 degrees": (15.0,),
+    "15 and -15 degrees": (15.0, -15.0),
+    "10, -10, 20 and -20 degrees": (10.0, -10.0, 20.0, -20.0),
+}
 Values = dict[str, float]
 """Numbers by the keys of `evaluation.protocols`."""
 

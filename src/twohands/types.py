@@ -25,7 +25,8 @@ class PinholeCamera:
         fx, fy: focal lengths in pixels, positive.
         cx, cy: principal point in pixels, measured from the image's outer corner.
         width, height: image size in pixels.
-        distortion: OpenCV coefficients (k1, k2, p1, p2[, k3[, k4, k5, k6]]), empty for none.
+        distortion: OpenCV coefficients (k1, k2, p1, p2[, k3[, k4, k5, k6]]), empty for none; an array of any shape is
+            taken as well, and kept as a tuple.
 
     Raises:
         InputError: a value is not finite or not positive where it must be.
@@ -46,6 +47,7 @@ class PinholeCamera:
                 raise InputError(f"camera: {name} must be a finite number, got {value}")
             if name in ("fx", "fy", "width", "height") and value <= 0:
                 raise InputError(f"camera: {name} must be positive, got {value}")
+        object.__setattr__(self, "distortion", tuple(np.ravel(np.asarray(self.distortion, np.float64)).tolist()))
         if len(self.distortion) not in (0, 4, 5, 8) or not all(map(math.isfinite, self.distortion)):
             raise InputError(f"camera: distortion needs 0, 4, 5 or 8 finite numbers, got {self.distortion}")
 
@@ -180,7 +182,7 @@ class HandPose:
         box_px: (4,) u0, v0, u1, v1 in pixels.
         joints_px: (21, 2) pixels.
         joint_scores: (21,) 0..1.
-        canonical: (21, 3) unitless, root at 0, |wrist - root| = 1, centred frame.
+        canonical: (21, 3) unitless, root at 0, |wrist - root| = 1 (to about 1 % in an estimate), centred frame.
         joints_m: (21, 3) camera frame, metres; None if the projection is not valid.
         range_m: distance of the root joint, metres; None if not valid.
         theta_deg, phi_deg: direction of the root joint.

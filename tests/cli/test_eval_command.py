@@ -130,6 +130,17 @@ def test_report_refuses_what_does_not_fit(
     assert main(["eval", "budget", str(data / "1"), "--weights", str(weights), "--out", str(tmp_path / "c.json")]) == 0
     refused("the budget is of other data", "--budget", str(tmp_path / "c.json"))
     refused("no such file", files=(str(tmp_path / "none.npz"),))
+    refused("--cases must be at least 0, got -1", "--cases", "-1")
+
+
+def test_a_report_that_cannot_be_written_is_noticed_before_the_work(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    no_weights = str(tmp_path / "none")  # whoever looks for them has begun already
+    report = str(tmp_path / "file" / "r.json")
+    assert main(["eval", "run", str(data), "--weights", no_weights, "--report", report]) == 2
+    assert "is a file, not a folder" in capsys.readouterr().err
 
 
 def test_import_then_score(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -22,7 +22,8 @@ def camera(tmp_path):
     [
         (["hand_seg_net"], "leave a STAGE out"),
         (["--data", "x"], "leave --data out"),
-        (["--minutes", "0"], "--minutes must be positive, got 0"),
+        (["--minutes", "0"], "--minutes must be a positive number, got 0"),
+        (["--minutes", "inf"], "--minutes must be a positive number, got inf"),
         (["--resume"], "holds no fine-tuning to resume"),
         (["--set", "speed=3"], "unknown setting 'speed'"),
         (["--backgrounds", "no-such-folder"], "no-such-folder"),

@@ -10,10 +10,11 @@ import cv2
 import numpy as np
 import pytest
 
+from twohands.cli.generate import _at_frame_size
 from twohands.cli.main import main
 from twohands.cli.progress import RateLog, duration
 from twohands.errors import RendererError
-from twohands.synth.config import WILD
+from twohands.synth.config import WILD, SynthConfig
 from twohands.synth.render import blender, raster
 
 SMALL = ["--count", "3", "--workers", "1", "--config.width", "128", "--config.height", "72"]
@@ -33,7 +34,10 @@ def one_line(capsys: pytest.CaptureFixture[str]) -> str:
     ("arguments", "message"),
     [
         (["--seed", -1], "seed must be 0 or a larger whole number, got -1"),
-        (["--count", 0], "count must be 1 to"),
+        (["--count", 0], "--count must be at least 1, got 0"),
+        (["--count", -1], "--count must be at least 1, got -1"),
+        (["--sequences", -2], "--sequences must be at least 1, got -2"),
+        (["--count", 10**9], "count must be 1 to"),
         (["--workers", -1], "--workers must be 0"),
         (["--config.drop-rate", "nan"], "drop_rate must lie in"),
         (["--config.drop-rate", 1], "drop_rate must lie in"),
@@ -179,3 +183,11 @@ def test_rate_and_time_left_count_this_run_only():
         log(done, 100)
     assert said == ["frames 60/100, 2.0/s, 0:20 left"]
     assert [duration(s) for s in (0, 59.6, 3600, 11220)] == ["0:00", "1:00", "1:00:00", "3:07:00"]
+
+
+def test_given_intrinsics_shrink_with_the_frames():
+    """Named case: those of 960x540 pictures were kept for frames of 480x270."""
+    config = _at_frame_size(SynthConfig(width=960, height=540, intrinsics=(400.0, 410.0, 480.0, 270.0)))
+    assert (config.width, config.height) == (480, 270)
+    assert config.intrinsics == (200.0, 205.0, 240.0, 135.0)
+    assert _at_frame_size(SynthConfig()).intrinsics is None

@@ -41,3 +41,20 @@ def test_nothing_to_inspect_exits_with_2(tmp_path: Path, capsys: pytest.CaptureF
     assert len(errors) == 2
     assert "no instance found" in errors[0] and "no such folder" in errors[1]
     assert not (tmp_path / "out").exists()
+
+
+def test_a_name_that_looks_like_markup_is_printed_as_it_is(tmp_path, capsys, monkeypatch) -> None:
+    """Named case: of "set[abc]" the console showed "set"."""
+    fakes.write_instance(tmp_path / "set[abc]" / "0")
+    monkeypatch.chdir(tmp_path)
+    assert main(["inspect", "set[abc]"]) == 0
+    printed = capsys.readouterr().out
+    assert "dataset set[abc]" in printed and "out/inspect/set[abc]/report.html" in printed
+
+
+def test_a_folder_that_cannot_be_made_is_noticed_before_the_work(tmp_path, capsys) -> None:
+    fakes.write_instance(tmp_path / "data" / "0")
+    (tmp_path / "file").touch()
+    assert main(["inspect", str(tmp_path / "data"), "--out", str(tmp_path / "file")]) == 2
+    found = capsys.readouterr()
+    assert "is a file, not a folder" in found.err and not found.out

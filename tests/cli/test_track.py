@@ -350,3 +350,14 @@ def test_demo_of_the_package(tmp_path, capsys):
 def test_names_of_results_do_not_collide():
     files = [Path("a/x.png"), Path("a/x.jpg"), Path("a/y.png")]
     assert track._result_names(files) == ["x_png", "x_jpg", "y"]
+    # Named case: of a.png, a.jpg and a_png.png only two results were left.
+    clash = [Path("a.png"), Path("a.jpg"), Path("a_png.png")]
+    assert track._result_names(clash) == ["0000_a_png", "0001_a_jpg", "0002_a_png"]
+    assert track._result_names([Path("A.png"), Path("a.png")]) == ["0000_A_png", "0001_a_png"]
+
+
+def test_a_long_name_of_a_picture_is_shortened_for_its_results():
+    """Named case: names of 236 letters ended a whole folder's run, for no file system takes the results'."""
+    assert track._result_names([Path(236 * "a" + ".png"), Path("b.png")]) == [200 * "a", "b"]
+    alike = track._result_names([Path(236 * "a" + "1.png"), Path(236 * "a" + "2.png")])
+    assert alike == ["0000_" + 200 * "a", "0001_" + 200 * "a"]

@@ -70,6 +70,23 @@ def test_mistakes_are_one_line(tmp_path, capsys):
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.parametrize("content", ['{"stage": "pose_net_2d",', "[]", '{"stage": "pose_net_2d", "optim": 3}'])
+def test_damaged_settings_of_a_run_are_one_line(tmp_path, capsys, content):
+    (tmp_path / "config.json").write_text(content)
+    assert main(["train", "pose_net_2d", "--out", str(tmp_path), "--resume"]) == 2
+    error = capsys.readouterr().err
+    assert "config.json: not the settings of a training run" in error and error.count("\n") == 1
+
+
+def test_a_folder_that_cannot_be_made_and_a_negative_number_of_threads_are_one_line(tmp_path, capsys):
+    (tmp_path / "file").touch()
+    words = ["train", "pose_net_2d", "--data", "synthetic", "--iterations", "1", "--workers", "0"]
+    assert main([*words, "--out", str(tmp_path / "file" / "run")]) == 2
+    assert "is a file, not a folder" in capsys.readouterr().err
+    assert main([*words, "--out", str(tmp_path / "run"), "--threads", "-1"]) == 2
+    assert "threads must not be negative, got -1" in capsys.readouterr().err
+
+
 def test_an_empty_folder_is_no_data(tmp_path):
     config = tiny_run("hand_seg_net")
     with pytest.raises(InputError, match="location_2d"):

@@ -1,5 +1,6 @@
 """The reader: what it returns, what it skips, and what it refuses by name."""
 
+import contextlib
 from pathlib import Path
 
 import numpy as np
@@ -110,6 +111,20 @@ def test_cut_off_file_is_named(tmp_path: Path, name: str, keep: float) -> None:
     path.write_bytes(data[: int(keep * len(data))])
     with pytest.raises(DataFormatError, match=name):
         read_instance(tmp_path / "0")
+
+
+def test_a_damaged_array_is_named_whatever_is_damaged(tmp_path: Path) -> None:
+    """Named case: damage within a header came out as an error of Python's tokenizer."""
+    fakes.write_instance(tmp_path / "0")
+    path = tmp_path / "0" / fmt.JOINTS_2D_FILE
+    data = path.read_bytes()
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        damaged = bytearray(data)
+        damaged[int(rng.integers(0, 128))] ^= int(rng.integers(1, 256))
+        path.write_bytes(damaged)
+        with contextlib.suppress(DataFormatError):
+            read_instance(tmp_path / "0")
 
 
 def test_wrong_sizes_and_values_are_named(tmp_path: Path) -> None:

@@ -127,6 +127,9 @@ def test_files_that_do_not_fit_are_named(tmp_path: Path) -> None:
     refused(
         r"world_coord: expected finite numbers of shape \(42, 3\)", joint_3d={"0": {"42": {"world_coord": [[1.0]]}}}
     )
+    ragged = content()["data"]
+    ragged["annotations"][0]["joint_valid"] = [[1], [1, 1]]
+    refused("annotation 70 ", data=ragged)
     refused("expected the lists images and annotations", data={"images": []})
     refused("holds no annotation", data={"images": [], "annotations": []})
     refused("expected a hand type", data=content(hand_type="foot")["data"])

@@ -1,12 +1,15 @@
 """Shards give the samples that folders give; what is damaged or not finished is named."""
 
+import io
 import shutil
+import tarfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 from tests.datasets import fakes
 
+from twohands import ego3dhands_format as fmt
 from twohands.datasets.base import HandDataset
 from twohands.datasets.ego3dhands import Ego3DHands
 from twohands.datasets.inspect import inspect_dataset
@@ -117,3 +120,20 @@ def test_hand_length_is_that_of_the_manifest(tmp_path):
     for length, problems in (("0.09", 2), ("null", 0), ("0.1", 0)):
         (tmp_path / "set" / "manifest.json").write_text(f'{{"config": {{"hand_length": {length}}}}}')
         assert len(inspect_dataset(Ego3DHands(tmp_path / "set")).problems) == problems
+
+
+def test_an_instance_without_joints_is_a_problem_and_no_exception(sets, tmp_path):
+    """Named case: in a shard, not in a folder, it was a KeyError."""
+    shutil.copytree(sets[1], tmp_path / "set")
+    shard = tmp_path / "set" / "shard-000000.tar"
+    with tarfile.open(shard) as old:
+        members = [(member, old.extractfile(member).read()) for member in old.getmembers()]
+    with tarfile.open(shard, "w") as new:
+        for member, data in members:
+            if member.name == f"00000.{fmt.JOINTS_2D_FILE}":
+                member.name = member.name.replace(".npy", ".old")
+            new.addfile(member, io.BytesIO(data))
+    problems = {
+        problem.source: problem.message for problem in inspect_dataset(ShardedEgo3DHands(tmp_path / "set")).problems
+    }
+    assert f"lacks {fmt.JOINTS_2D_FILE}" in problems["00000"]

@@ -54,6 +54,10 @@ def test_boxes_end_at_the_edge_of_the_picture() -> None:
     cut = replace(sample, joints_px=hands)
     compared = compare(predictions_for(estimate, [cut]), [cut])
     np.testing.assert_allclose(compared.box_iou[0], 1, atol=1e-6)
+    # Named case: what a system says of a hand's place outside was held against it.
+    whole = replace(pose, left=replace(pose.left, box_px=np.array([-5000.0, 200.0, 203.0, 5000.0])))
+    compared = compare(predictions_for(lambda _: whole, [cut]), [cut])
+    np.testing.assert_allclose(compared.box_iou[0], 1, atol=1e-6)
 
 
 def test_a_hidden_root_still_has_a_range() -> None:
@@ -158,8 +162,9 @@ def test_video() -> None:
 
 def test_sequences_are_folders() -> None:
     assert sequences(("s1/0", "s2/0", "s1/1", "x")) == [[0, 2], [1], [3]]
-    with pytest.raises(InputError, match="above 0"):
-        Protocol(fps=-1)
+    for fps in (-1, 0, float("inf"), float("nan")):
+        with pytest.raises(InputError, match="above 0"):
+            Protocol(fps=fps)
 
 
 def test_sides_are_not_mixed() -> None:

@@ -1,5 +1,6 @@
 """Other systems' predictions: what is given is kept, what follows is filled in, what is wrong is named."""
 
+import contextlib
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -72,8 +73,20 @@ def test_npz(tmp_path: Path) -> None:
     assert evaluate(predictions, SAMPLES)["cs_mpjpe"].value == pytest.approx(0, abs=1e-9)
     np.testing.assert_array_equal(predictions.score[present], 0.5)
     np.savez(tmp_path / "p.npz", **arrays | {"joints_m": arrays["joints_m"][:3]})
-    with pytest.raises(DataFormatError, match="joints_m must start with the shape"):
+    with pytest.raises(DataFormatError, match=r"joints_m must hold numbers of shape \(4, 2, 21, 3\)"):
         imported(tmp_path / "p.npz")
+    for name, values, message in (
+        ("present", present.astype(float), "present must hold true or false"),
+        ("present", np.stack([present, present], axis=-1), "present must hold true or false"),
+        ("score", np.full((4, 2), "high"), "score must hold numbers"),
+        ("score", np.full((4, 2, 2), 0.5), "score must hold numbers"),
+        ("version", "one", "version 1, got 'one'"),
+    ):
+        np.savez(tmp_path / "p.npz", **arrays | {name: values})
+        with pytest.raises(DataFormatError, match=message):
+            imported(tmp_path / "p.npz")
+    np.savez(tmp_path / "p.npz", **arrays | {"version": np.array([1]), "present": present.astype(np.uint8)})
+    assert imported(tmp_path / "p.npz").present.tolist() == present.tolist()
     np.savez(tmp_path / "p.npz", **arrays | {"version": 7})
     with pytest.raises(DataFormatError, match="version 1, got 7"):
         imported(tmp_path / "p.npz")
@@ -118,6 +131,11 @@ def broken(change) -> dict[str, Any]:
             "1 of 63 numbers are not finite",
         ),
         (lambda c: c["images"][0]["left"].update(joints_m="far"), "left hand: joints_m: numbers of shape"),
+        *(
+            (lambda c, score=score: c["images"][0]["left"].update(score=score), "score: a number from 0 to 1 expected")
+            for score in (float("nan"), 5, -0.1, "0.5", "abc", True, [0.5], {"a": 1})
+        ),
+        (lambda c: c["images"][0]["left"].update(box_px=[10, 10, 0, 20]), "box_px: u0 <= u1 and v0 <= v1 expected"),
         (lambda c: c["images"][0].update(left={}), "needs at least one of"),
         (lambda c: c["images"][0].update(left=3), "an object or null expected"),
     ],
@@ -139,6 +157,25 @@ def test_files_that_are_none(tmp_path: Path) -> None:
     (tmp_path / "p.csv").write_text("")
     with pytest.raises(InputError, match=r"must be .json or .npz"):
         read_foreign(tmp_path / "p.csv")
+
+
+@pytest.mark.parametrize("read", [read_foreign, load_predictions])
+def test_a_damaged_npz_is_named_whatever_is_damaged(tmp_path: Path, read) -> None:
+    """Named case: damage within a compressed array came out as zlib's own error."""
+    save_predictions(tmp_path / "whole.npz", predictions_for())
+    data = (tmp_path / "whole.npz").read_bytes()
+    if read is read_foreign:
+        arrays = {name: np.tile(np.arange(500.0), 4) for name in ("version", "sources", "present")}
+        np.savez_compressed(tmp_path / "whole.npz", **arrays)
+        data = (tmp_path / "whole.npz").read_bytes()
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        damaged = bytearray(data)
+        for at in rng.integers(0, len(data), 8):
+            damaged[at] ^= int(rng.integers(1, 256))
+        (tmp_path / "p.npz").write_bytes(damaged)
+        with contextlib.suppress(DataFormatError):
+            read(tmp_path / "p.npz")
 
 
 class TestChecks:

@@ -327,6 +327,7 @@ def test_range_weights_by_hand():
     np.testing.assert_allclose(weights[[9, 13, 17]], 1 / 4)  # 0.5^2
     np.testing.assert_allclose(weights[[3, 10, 20]], 1 / 16)
     assert range_weights(np.zeros((2, 3, 21))).shape == (2, 3, 21)
+    assert range_weights(scores.astype(np.float32)).dtype == np.float32
 
 
 def test_weights_keep_a_doubtful_finger_out_of_the_range():

@@ -62,6 +62,7 @@ def test_opencv_yaml(tmp_path):
         ({"height": float("nan")}, "whole number"),
         ({"fx": "wide"}, "numbers expected"),
         ({"fx": None}, "numbers expected"),
+        ({"fx": 10**400}, "numbers expected"),
         ({"distortion": [0.1, 0.2]}, "0, 4, 5 or 8"),
         ({"distortion": 3}, "numbers expected"),
         ({"distortion": [float("nan"), 0, 0, 0]}, "finite"),
@@ -95,12 +96,19 @@ def test_missing_keys_are_named(tmp_path):
 
 @pytest.mark.parametrize("name", ["c.json", "c.yaml", "c.txt"])
 @pytest.mark.parametrize(
-    "text", ["", "no camera", "[1, 2]", "%YAML:1.0\n---\nother: 3\n", "%YAML:1.0\n---\ncamera_matrix: 3\n"]
+    "text",
+    ["", "no camera", "[1, 2]", "%YAML:1.0\n---\nother: 3\n", "%YAML:1.0\n---\ncamera_matrix: 3\n"],
 )
 def test_other_files_are_refused(tmp_path, name, text):
     (tmp_path / name).write_text(text)
     with pytest.raises(DataFormatError, match=name):
         read_camera(tmp_path / name)
+
+
+def test_json_of_absurd_depth_is_refused(tmp_path):
+    (tmp_path / "c.json").write_text(100_000 * "[")
+    with pytest.raises(DataFormatError, match="not JSON"):
+        read_camera(tmp_path / "c.json")
 
 
 def test_missing_and_binary_files_are_refused(tmp_path):

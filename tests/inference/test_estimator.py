@@ -8,6 +8,7 @@ from tests.oracles import UNUSED, Oracle, drawn_hands, full_truth, hand_masks, m
 
 from twohands.errors import InputError
 from twohands.geometry.boxes import apply_homography
+from twohands.geometry.camera import unproject
 from twohands.geometry.canonical import canonical_from_camera
 from twohands.geometry.rotation import rotation_about_z
 from twohands.geometry.segmentation import HandBoxes, network_input
@@ -474,3 +475,18 @@ def test_what_is_no_hand_is_refused():
     estimator.locate = lambda crops, truth: (np.zeros((len(crops), 21, 32, 32)), np.full(len(crops), -12.0))
     pose = estimator.estimate(sample.image, sample.camera, HAND_LENGTH_M)
     assert not pose.left.present and not pose.right.present and not pose.masks.any()
+
+
+def test_a_joint_without_line_of_sight_does_not_cost_the_hand_its_range():
+    """Named case: behind a barrel lens a fingertip found far outside the picture made a hand's range unknown."""
+    sample = drawn_hands(0)
+    camera = dataclasses.replace(sample.camera, distortion=(-0.28, 0.0, 0.0, 0.0))
+    canonical = canonical_from_camera(sample.joints_m).joints
+    x = sample.joints_m[..., :2] / sample.joints_m[..., 2:]
+    bent = x * (1 - 0.28 * (x**2).sum(axis=-1, keepdims=True))
+    joints_px, lengths_m = [camera.fx, camera.fy] * bent + [camera.cx, camera.cy], np.full(2, HAND_LENGTH_M)
+    joints_px[RIGHT, 8] = [10 * camera.width, camera.cy]
+    assert np.isnan(unproject(joints_px[RIGHT, 8], camera)).any()
+    pose = HandEstimator(UNUSED, make_card()).place(canonical, joints_px, np.ones((2, 21)), camera, lengths_m)
+    assert pose.valid.all()
+    np.testing.assert_allclose(pose.joints_m, sample.joints_m, atol=1e-6)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from tests.oracles import UNUSED, drawn_hands, full_truth, make_card
 
-from twohands.errors import DataFormatError
+from twohands.errors import DataFormatError, InputError
 from twohands.inference.estimator import HandEstimator
 from twohands.inference.records import from_dict, to_dict
 from twohands.types import HandPose, PinholeCamera, TwoHandPose
@@ -87,6 +87,18 @@ def test_a_camera_with_distortion_keeps_it():
     hands = (HandPose(present=False), HandPose(present=False))
     record = to_dict([TwoHandPose(*hands, camera)], source="s", weights="w")
     assert from_dict(record)[0].camera == camera
+
+
+def test_a_camera_as_opencv_calibrates_it_is_kept_too():
+    """Named case: (1, 5) arrays of coefficients and NumPy's integers were taken, and refused when written."""
+    lens = np.array([[0.1, -0.05, 0.001, 0.002, 0.0]])
+    camera = PinholeCamera(500, 501, 320, 240, np.int64(640), np.int64(480), lens)  # type: ignore[arg-type]
+    assert camera == PinholeCamera(500, 501, 320, 240, 640, 480, (0.1, -0.05, 0.001, 0.002, 0.0))
+    hands = (HandPose(present=False), HandPose(present=False))
+    text = json.dumps(to_dict([TwoHandPose(*hands, camera)], source="s", weights="w"))
+    assert from_dict(json.loads(text))[0].camera == camera
+    with pytest.raises(InputError, match="0, 4, 5 or 8"):
+        PinholeCamera(500, 501, 320, 240, 640, 480, np.zeros((3, 1)))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

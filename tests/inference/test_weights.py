@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -47,6 +48,18 @@ def test_the_shipped_presets_are_complete():
         card = read_card(preset_folder(name))
         assert card.name == name
         load_networks(preset_folder(name), card)
+
+
+def test_a_folder_is_taken_before_a_shipped_preset_of_its_name(tiny, tmp_path, monkeypatch):
+    """Named case: a folder called "fast" was never read, even where a path asked for it."""
+    if DEFAULT_PRESET not in preset_names():
+        pytest.skip("no weights are shipped yet")
+    shipped = preset_folder(DEFAULT_PRESET)
+    shutil.copytree(tiny, tmp_path / DEFAULT_PRESET)
+    monkeypatch.chdir(tmp_path)
+    assert preset_folder(Path(DEFAULT_PRESET)) == Path(DEFAULT_PRESET)
+    assert preset_folder(f"./{DEFAULT_PRESET}").resolve() == tmp_path / DEFAULT_PRESET
+    assert preset_folder(DEFAULT_PRESET) == shipped
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ import pytest
 from tests.builders import random_rotations
 from tests.oracles import drawn_hands
 
-from twohands.errors import InputError
+from twohands.errors import DataFormatError, InputError
 from twohands.evaluation.predictions import predict
 from twohands.evaluation.protocols import evaluate
 from twohands.geometry.camera import project
@@ -108,6 +108,23 @@ def test_no_hand(python: Path, tmp_path: Path) -> None:
     with MediaPipeHands(python) as peer:
         report = report_of(peer, sample)
     assert report["missed"].value == 2 and np.isnan(report["cs_mpjpe"].value)
+
+
+def test_a_process_that_ends_between_two_pictures_is_an_error(tmp_path: Path) -> None:
+    """Named case: closing its broken pipe replaced the error by one that means success to the command line."""
+    script = tmp_path / "python"
+    line = json.dumps({"version": "0"})
+    script.write_text(f"#!/bin/sh\necho '{line}'\n")
+    os.chmod(script, 0o755)
+    with pytest.raises(DataFormatError, match="process has ended"), MediaPipeHands(script) as peer:
+        peer(drawn_hands(1))
+
+
+def test_an_interpreter_in_the_current_folder_is_found(python: Path, monkeypatch) -> None:
+    """Named case: of ./python nothing but "python" was left, which is looked for elsewhere."""
+    monkeypatch.chdir(python.parent)
+    with MediaPipeHands(Path("python")) as peer:
+        assert "Hands 0" in peer.name
 
 
 def test_an_interpreter_without_mediapipe() -> None:

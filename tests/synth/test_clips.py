@@ -1,5 +1,6 @@
 """Clips: what a folder holds is recognised, every frame can be had alone, and views move smoothly."""
 
+import shutil
 from itertools import pairwise
 
 import cv2
@@ -7,7 +8,17 @@ import numpy as np
 import pytest
 
 from twohands.errors import InputError
-from twohands.synth.clips import ClipSource, RoomBackgrounds, assign_clips, find_clips, numbered, open_clip, unusable
+from twohands.synth.backgrounds import Look
+from twohands.synth.clips import (
+    ClipSource,
+    RoomBackgrounds,
+    _Film,
+    assign_clips,
+    find_clips,
+    numbered,
+    open_clip,
+    unusable,
+)
 from twohands.types import PinholeCamera
 
 CAMERA = PinholeCamera.ego3dhands(160, 90)
@@ -108,6 +119,48 @@ def test_a_frame_is_the_same_alone_and_in_order(folder, name, kind):
     np.testing.assert_array_equal(clip_of(source).frame(90), played[10])
     np.testing.assert_array_equal(clip.frame(18), played[2])  # backwards
     assert not np.array_equal(clip_of(source, seed=1).frame(0), played[0])
+
+
+class EndingEarly:
+    """A film of 73 frames whose header says 120, as readers of videos find out when they get there."""
+
+    fps = 30.0
+    count = 120
+
+    def read(self, index):
+        if index >= 73:
+            self.count = 73
+        return np.full((54, 96, 3), min(index, 72), np.uint8)
+
+
+@pytest.mark.parametrize("frames", [100, 300])
+def test_a_video_shorter_than_its_header_says_has_the_same_frames_in_any_order(frames):
+    """Named case: once the end was found, the frames before it turned back earlier; sets differed by their workers."""
+    camera = PinholeCamera.from_fov(90.0, 96, 54)
+
+    def film() -> _Film:
+        rng = np.random.default_rng(3)
+        return _Film(EndingEarly(), rng, frames, 30.0, (camera.width, camera.height), Look(rng))
+
+    played = film()
+    for index, frame in enumerate([played.frame(k) for k in range(frames)]):
+        np.testing.assert_array_equal(film().frame(index), frame)
+
+
+def test_a_folder_of_frames_with_a_damaged_one_is_skipped_and_the_frame_named(folder, tmp_path):
+    """Named case: a set could not be made, for frame 20 of a background was empty."""
+    films = [source for source in find_clips(folder) if source.kind == "frames"]
+    shutil.copytree(films[0].path, tmp_path / "walk")
+    assert unusable(ClipSource("frames", tmp_path / "walk")) is None
+    files = numbered(tmp_path / "walk")
+    files[-2].write_bytes(b"")
+    assert unusable(ClipSource("frames", tmp_path / "walk")) == f"{files[-2].name} is not a picture that can be read"
+
+
+def test_a_cut_off_still_is_skipped(tmp_path):
+    data = cv2.imencode(".jpg", textured(200, 300))[1].tobytes()
+    (tmp_path / "still.jpg").write_bytes(data[: len(data) // 3])
+    assert unusable(ClipSource("still", tmp_path / "still.jpg")) == "not a picture that can be read"
 
 
 @pytest.mark.parametrize(("name", "kind"), SOURCES[2:])

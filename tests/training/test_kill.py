@@ -1,6 +1,9 @@
 """A run that is killed at random moments, and resumed each time, ends bitwise like an undisturbed one."""
 
+import json
+import os
 import random
+import signal
 import subprocess
 import sys
 import time
@@ -21,10 +24,9 @@ def steps_done(folder: Path) -> int:
     return log.read_text().count(",train,loss,") if log.is_file() else 0
 
 
-def start(folder: Path) -> subprocess.Popen:
-    return subprocess.Popen(
-        [sys.executable, "-m", "tests.training.killed_run", str(folder)], cwd=ROOT, stderr=subprocess.PIPE, text=True
-    )
+def start(folder: Path, *words: str, **options) -> subprocess.Popen:
+    command = [sys.executable, "-m", "tests.training.killed_run", str(folder), *words]
+    return subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True, **options)
 
 
 def kill_after_some_steps(folder: Path, rng: random.Random) -> None:
@@ -73,3 +75,16 @@ def test_killed_before_the_first_step(tmp_path):
     resumed = start(folder)
     errors = resumed.communicate(timeout=120)[1]
     assert resumed.returncode == 0, errors
+
+
+def test_a_request_to_end_that_reaches_the_workers_too_ends_the_run_after_the_step(tmp_path):
+    """Named case: the workers died of it first, and the run with them; schedulers signal all of a job's processes."""
+    folder = tmp_path / "run"
+    run = start(folder, "1", start_new_session=True)
+    while run.poll() is None and steps_done(folder) < 2:
+        time.sleep(0.005)
+    os.killpg(run.pid, signal.SIGTERM)
+    errors = run.communicate(timeout=60)[1]
+    assert errors.rstrip().endswith("KeyboardInterrupt") and "DataLoader worker" not in errors
+    state = json.loads(load_tensors(folder / "state.safetensors")[1]["state"])
+    assert state["iteration"] == steps_done(folder)

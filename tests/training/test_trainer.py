@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+import json
 import signal
 
 import pytest
@@ -9,14 +10,14 @@ import torch
 from tests.builders import make_samples
 from tests.training.tiny import plain, tiny_run
 
-from twohands.errors import CheckpointError, InputError
+from twohands.errors import CheckpointError, DataFormatError, InputError
 from twohands.models.checkpoint import load_network, load_tensors, read_note, same_weights, save_network
 from twohands.models.pose_net_2d import PoseNet2D
 from twohands.models.presets import build_network
 from twohands.training.batches import BatchDataset
 from twohands.training.config import AugmentConfig, OptimConfig, TrainConfig, with_override
 from twohands.training.stages import build_stage, heatmap_losses, judge_losses, normalised
-from twohands.training.trainer import build_optimizer, train
+from twohands.training.trainer import STATE_FILE, build_optimizer, train
 
 SAMPLES = make_samples(6)
 STAGES = ("hand_seg_net", "pose_net_2d", "pose_net_3d")
@@ -121,6 +122,35 @@ def test_a_signal_ends_the_run_after_the_step_and_it_can_go_on(tmp_path):
     assert signal.getsignal(signal.SIGTERM) is before
     source.armed = False
     assert train(config, source, [], tmp_path / "run", resume=True).iterations == 3
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_a_picture_that_cannot_be_used_is_named_after_the_state_was_saved(tmp_path, workers):
+    """Named case: a worker's traceback came out instead, and the steps since the last save were lost."""
+
+    class Damaged(list):
+        def __getitem__(self, index):
+            if self.broken and index == 3:
+                raise DataFormatError("picture 3 is damaged")
+            return super().__getitem__(index)
+
+    config = tiny_run("hand_seg_net", iterations=len(SAMPLES), batch_images=1)
+    config = dataclasses.replace(config, data=dataclasses.replace(config.data, workers=workers))
+    source = Damaged(SAMPLES)
+    source.broken = True
+    steps = [BatchDataset(source, config).picks(step)[0][1] for step in range(len(SAMPLES))]
+    with pytest.raises(DataFormatError, match=r"^picture 3 is damaged$"):
+        train(config, source, [], tmp_path / "run")
+    _, metadata = load_tensors(tmp_path / "run" / STATE_FILE)
+    assert json.loads(metadata["state"])["iteration"] == steps.index(3)
+    source.broken = False
+    assert train(config, source, [], tmp_path / "run", resume=True).iterations == len(SAMPLES)
+
+
+@pytest.mark.parametrize("name", ["seed", "threads", "data.seed", "data.workers", "data.validation"])
+def test_negative_numbers_are_refused(name):
+    with pytest.raises(InputError, match=f"{name} must not be negative, got -1"):
+        with_override(tiny_run("hand_seg_net"), f"{name}=-1")
 
 
 def test_a_used_folder_and_a_missing_run_are_refused(tmp_path):

@@ -107,3 +107,10 @@ def test_without_matplotlib_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(MissingExtraError, match=r"twohands\[view\]"):
         draw_views(sample.image, pose)
+
+
+def test_a_hand_of_absurd_size_is_drawn_too():
+    """Named case: a hand length of 1e11 cm ended with a traceback, for no grid was coarse enough."""
+    sample = drawn_hands(0)
+    pose = HandEstimator(UNUSED, make_card()).estimate(sample.image, sample.camera, 1e9, full_truth(sample))
+    assert render_views(sample.image, pose)

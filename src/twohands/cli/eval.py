@@ -21,6 +21,7 @@ import tyro
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
+from rich.text import Text
 
 from twohands.cli.output import check_output_folder, write_file
 from twohands.datasets.base import HandDataset
@@ -287,7 +288,11 @@ def _run_score(args: Score | Run) -> int:
     if len(predictions) < len(dataset.samples):
         print(f"only the first {len(predictions)} of {len(dataset.samples)} images")
     if args.report is not None:
-        text = json.dumps(report.to_dict(), indent=1) if args.report.suffix == ".json" else report.to_markdown()
+        text = (
+            json.dumps(report.to_dict(), indent=1, allow_nan=False)
+            if args.report.suffix == ".json"
+            else report.to_markdown()
+        )
         write_file(args.report, text.encode())
         print(f"report written to {args.report}")
     return 0
@@ -340,7 +345,7 @@ def _run_budget(args: Budget) -> int:
     for note in notes:
         print(note)
     if args.out is not None:
-        write_file(args.out, json.dumps(budget, indent=1).encode())
+        write_file(args.out, json.dumps(budget, indent=1, allow_nan=False).encode())
         print(f"budget written to {args.out}")
     return 0
 
@@ -352,6 +357,8 @@ def _run_report(args: Report) -> int:
     files = [load_predictions(path) for path in args.predictions]
     if not files:
         raise InputError("--predictions needs at least one file")
+    if args.cases < 0:
+        raise InputError(f"--cases must be at least 0, got {args.cases}")
     names = args.names or tuple(path.stem for path in args.predictions)
     if len(names) != len(files) or len(set(names)) != len(names):
         raise InputError(f"--names must be {len(files)} different names, one for each file, got {', '.join(names)}")
@@ -401,7 +408,7 @@ def _run_sweep(args: Sweep) -> int:
     for line in sweep_findings(sweep):
         print(line)
     if args.out is not None:
-        write_file(args.out, json.dumps(sweep, indent=1).encode())
+        write_file(args.out, json.dumps(sweep, indent=1, allow_nan=False).encode())
         print(f"sweep written to {args.out}")
     return 0
 
@@ -555,6 +562,8 @@ def _command() -> str:
 
 
 def _refuse_existing(path: Path, overwrite: bool, option: str) -> None:
+    """See, before any work is done, whether a file may be written."""
+    check_output_folder(path.parent, overwrite=True)
     if path.exists() and not overwrite:
         raise InputError(f"{path}: exists already; choose another {option}, or allow it with --overwrite")
 
@@ -566,7 +575,7 @@ def _print_report(report: EvaluationReport) -> None:
 
 
 def _print_table(title: str, rows: TextTable) -> None:
-    table = Table(title=title, title_justify="left")
+    table = Table(title=Text(title), title_justify="left")  # names of folders may look like markup
     for column, name in enumerate(rows[0]):
         numbers = all(is_number(row[column]) for row in rows[1:])
         table.add_column(name, justify="right" if numbers else "left")

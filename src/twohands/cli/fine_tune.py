@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 from twohands.cli.progress import progress_of
 from twohands.errors import InputError
 from twohands.inference.camera_files import read_camera
-from twohands.inference.weights import DEFAULT_PRESET, NETWORK_NAMES, preset_folder
+from twohands.inference.weights import DEFAULT_PRESET, NETWORK_NAMES, preset_folder, preset_names
 from twohands.training.config import TrainConfig
 
 DEFAULT_MINUTES = 30.0
@@ -41,8 +42,8 @@ def fine_tune(
     from twohands.training.sources import backgrounds_of, open_source
     from twohands.training.trainer import train
 
-    if not minutes > 0:
-        raise InputError(f"--minutes must be positive, got {minutes:g}")
+    if not 0 < minutes < math.inf:
+        raise InputError(f"--minutes must be a positive number, got {minutes:g}")
     camera = read_camera(camera_file)
     work = out / WORK_FOLDER
     if resume and not work.is_dir():
@@ -86,7 +87,8 @@ def fine_tune(
         checkpoints |= result.checkpoints
     export_preset(checkpoints, out, name=out.resolve().name, further={"fine_tuned_from": DEFAULT_PRESET})
     add_int8(out, (source[i] for i in range(min(CALIBRATION_PICTURES, len(source)))))
-    print(f"weights written to {out}; use them with twohands track --weights {out} --camera {camera_file}")
+    folder = f"./{out}" if str(out) in preset_names() else out  # the name alone is that of shipped weights
+    print(f"weights written to {out}; use them with twohands track --weights {folder} --camera {camera_file}")
 
 
 def _networks_of(stage: str) -> tuple[str, ...]:

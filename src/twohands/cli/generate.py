@@ -21,6 +21,7 @@ from twohands.cli.progress import progress_of
 from twohands.errors import InputError
 from twohands.synth.config import PAPER, PRESETS, SynthConfig
 from twohands.synth.motion import MotionConfig
+from twohands.types import PinholeCamera
 
 if TYPE_CHECKING:
     from twohands.synth.executors import Executor
@@ -93,6 +94,9 @@ def run(args: GenerateArgs) -> int:
     """Generate, with progress, rate and time left."""
     if args.workers < 0:
         raise InputError(f"--workers must be 0 (all cores) or more, got {args.workers}")
+    for name in ("count", "sequences", "frames"):
+        if getattr(args, name) < 1:
+            raise InputError(f"--{name} must be at least 1, got {getattr(args, name)}")
     if args.ray_address is not None and args.engine != "ray":
         raise InputError("--ray-address needs --engine ray")
     if args.engine == "ray":  # its workers have other working directories
@@ -189,7 +193,7 @@ def _frames(args: GenerateArgs) -> int:
         raise InputError("frames have no background, split or format: leave --backgrounds, --split and --format out")
     if args.engine != "local":
         raise InputError("frames are made on this machine alone: leave --engine out")
-    config = dataclasses.replace(args.config, width=FRAME_SIZE[0], height=FRAME_SIZE[1])
+    config = _at_frame_size(args.config)
     with progress_of("frames") as progress:
         build_cache(
             args.out,
@@ -203,6 +207,16 @@ def _frames(args: GenerateArgs) -> int:
         )
     print(f"{args.count} frames in {args.out}; train on them with twohands train STAGE --data {args.out}")
     return 0
+
+
+def _at_frame_size(config: SynthConfig) -> SynthConfig:
+    """The same scenes in smaller pictures; given intrinsics shrink with them."""
+    width, height = FRAME_SIZE
+    intrinsics = config.intrinsics
+    if intrinsics is not None:
+        camera = PinholeCamera(*intrinsics, config.width, config.height).resized(width, height)
+        intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
+    return dataclasses.replace(config, width=width, height=height, intrinsics=intrinsics)
 
 
 def _dynamic(args: GenerateArgs) -> int:

@@ -15,10 +15,11 @@ import cv2
 import numpy as np
 import tyro
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import Progress
 from rich.table import Table
 
-from twohands.cli.output import write_file
+from twohands.cli.output import check_output_folder, write_file
 from twohands.datasets.contact_sheet import contact_sheet
 from twohands.datasets.ego3dhands import Ego3DHands
 from twohands.datasets.inspect import DatasetReport, inspect_dataset
@@ -56,17 +57,18 @@ def run(args: InspectArgs) -> int:
         raise InputError(f"--count must be at least 1 and --problems at least 0, got {args.count}, {args.problems}")
     console = Console()
     datasets = [open_ego3dhands(path) for path in (args.dataset, args.beside) if path is not None]
+    out = args.out or Path("out") / "inspect" / datasets[0].name
+    check_output_folder(out, overwrite=True)
     reports = [_inspect(dataset, console) for dataset in datasets]
     for report in reports:
         _print(report, args.problems, console)
     sheets = [_sheet(dataset, report, args.count) for dataset, report in zip(datasets, reports, strict=True)]
-    out = args.out or Path("out") / "inspect" / datasets[0].name
     if sheets[0] is not None:
         picture = cv2.imencode(".png", cv2.cvtColor(sheets[0], cv2.COLOR_RGB2BGR))[1].tobytes()
         write_file(out / SHEET_NAME, picture)
-        console.print(f"contact sheet written to {out / SHEET_NAME}", soft_wrap=True, highlight=False)
+        console.print(f"contact sheet written to {escape(str(out / SHEET_NAME))}", soft_wrap=True, highlight=False)
     write_file(out / PAGE_NAME, dataset_page(reports, sheets).encode())
-    console.print(f"report written to {out / PAGE_NAME}", soft_wrap=True, highlight=False)
+    console.print(f"report written to {escape(str(out / PAGE_NAME))}", soft_wrap=True, highlight=False)
     return EXIT_PROBLEMS if any(report.problems for report in reports) else 0
 
 
@@ -98,7 +100,8 @@ def _sheet(dataset: AnyDataset, report: DatasetReport, count: int) -> np.ndarray
 def _print(report: DatasetReport, problems: int, console: Console) -> None:
     console.print(_table(report))
     for problem in report.problems[:problems]:
-        console.print(f"[red]problem[/red] {problem.source}: {problem.message}", soft_wrap=True, highlight=False)
+        what = escape(f"{problem.source}: {problem.message}")
+        console.print(f"[red]problem[/red] {what}", soft_wrap=True, highlight=False)
     if len(report.problems) > problems:
         console.print(f"... and {len(report.problems) - problems} more problems (--problems N shows more)")
 
@@ -112,9 +115,9 @@ def _with_progress(
 
 
 def _table(report: DatasetReport) -> Table:
-    table = Table(title=f"dataset {report.name}", title_justify="left", show_header=False)
+    table = Table(title=escape(f"dataset {report.name}"), title_justify="left", show_header=False)
     table.add_column("what")
     table.add_column("value")
     for what, value in summary(report):
-        table.add_row(what, f"[red]{value}[/red]" if what == "problems" and report.problems else value)
+        table.add_row(what, f"[red]{escape(value)}[/red]" if what == "problems" and report.problems else escape(value))
     return table

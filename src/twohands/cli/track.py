@@ -9,6 +9,7 @@ import json
 import math
 import os
 import sys
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -31,6 +32,8 @@ from twohands.visualization.overlay import draw_overlay
 
 DEFAULT_FOV_DEG = 60.0
 PLAUSIBLE_HAND_LENGTH_CM = (4.0, 15.0)
+MAX_NAME_BYTES = 200
+"""Of a result's file name, without its ending; file systems take 255."""
 
 
 def option(metavar: str) -> Any:
@@ -171,7 +174,7 @@ def print_table(record: dict[str, Any]) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(title=f"weights {record['weights']}", title_justify="left", title_style="dim")
+    table = Table(title=Text(f"weights {record['weights']}"), title_justify="left", title_style="dim")
     table.add_column("image", overflow="fold")
     for name in ("hand", "present"):
         table.add_column(name)
@@ -276,9 +279,17 @@ def _readable(files: list[Path], camera: PinholeCamera | None, fov_deg: float | 
 
 
 def _result_names(files: list[Path]) -> list[str]:
-    """Beginning of each result's file name: the stem, with the suffix where two files share a stem."""
-    stems = [path.stem for path in files]
-    return [path.stem if stems.count(path.stem) == 1 else path.name.replace(".", "_") for path in files]
+    """Beginning of each result's file name, all different: the stem, with the suffix where two files share a stem, with
+    its number where that is still not enough; shortened where the file system would refuse the result's."""
+    stems = Counter(path.stem.casefold() for path in files)  # some file systems do not tell A from a
+    shared = [stems[path.stem.casefold()] > 1 for path in files]
+    names = [
+        os.fsdecode(os.fsencode(path.name.replace(".", "_") if twice else path.stem)[:MAX_NAME_BYTES])
+        for path, twice in zip(files, shared, strict=True)
+    ]
+    if len({name.casefold() for name in names}) == len(names):
+        return names
+    return [f"{index:04d}_{name}" for index, name in enumerate(names)]
 
 
 def _write_views(path: Path, picture: Picture, pose: TwoHandPose) -> bool:

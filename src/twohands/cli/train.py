@@ -21,7 +21,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 import tyro
 
-from twohands.errors import InputError
+from twohands.cli.output import check_output_folder
+from twohands.errors import DataFormatError, InputError
 
 if TYPE_CHECKING:
     from twohands.datasets.pose_targets import Segmentation
@@ -79,6 +80,7 @@ def resolve(args: TrainArgs) -> TrainConfig:
 
     Raises:
         InputError: no stage, an unknown setting, or a run that cannot be resumed.
+        DataFormatError: the settings of the run to resume are damaged.
     """
     from twohands.training.config import TrainConfig, recipe
 
@@ -88,7 +90,10 @@ def resolve(args: TrainArgs) -> TrainConfig:
     if args.resume:
         if not config_file.is_file():
             raise InputError(f"{args.out} holds no training run to resume")
-        config = TrainConfig.from_dict(json.loads(config_file.read_text(encoding="utf-8")))
+        try:
+            config = TrainConfig.from_dict(json.loads(config_file.read_text(encoding="utf-8")))
+        except (OSError, ValueError, TypeError, AttributeError) as error:
+            raise DataFormatError(f"{config_file}: not the settings of a training run: {error}") from error
         if config.stage != args.stage:
             raise InputError(f"{args.out} holds a run of stage {config.stage}, not {args.stage}")
     else:
@@ -160,6 +165,7 @@ def run(args: TrainArgs) -> int:
             print(line, flush=True)
 
     config = resolve(args)
+    check_output_folder(args.out, overwrite=True)  # a run that is there already is the trainer's business
     source, held_out = open_source(config.data)
     say(f"{config.stage}, recipe {config.recipe}: {len(source)} pictures, {len(held_out)} held out")
     result = train(

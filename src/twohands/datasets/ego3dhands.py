@@ -208,6 +208,8 @@ def decode_instance(files: Mapping[str, bytes], where: Path, leave_out: Set[str]
         DataFormatError: a required file is missing, or any file is damaged or of the wrong shape.
     """
     missing = tuple(name for name in _all_files() if name not in files)
+    if fmt.JOINTS_2D_FILE in missing:
+        raise DataFormatError(f"{where}: lacks {fmt.JOINTS_2D_FILE}")
 
     def png(name: str, channels: int) -> np.ndarray:
         if name in leave_out:
@@ -317,7 +319,7 @@ def _on_black(rgba: np.ndarray) -> np.ndarray:
 def _decode_array(data: bytes, where: str) -> np.ndarray:
     try:
         array = np.load(io.BytesIO(data), allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
+    except Exception as error:  # a damaged header fails in many ways
         raise DataFormatError(f"{where}: not a complete .npy file ({error})") from None
     if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiu":
         raise DataFormatError(f"{where}: expected an array of numbers")

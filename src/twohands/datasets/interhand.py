@@ -83,7 +83,7 @@ class InterHand:
         annotation = self._annotations[index]
         try:
             return self._sample(annotation)
-        except (KeyError, TypeError) as error:
+        except (KeyError, TypeError, ValueError) as error:
             what = f"annotation {annotation.get('id', index)}"
             raise DataFormatError(
                 f"{self._data_path}: {what} and the other annotation files do not fit together ({error!r})"

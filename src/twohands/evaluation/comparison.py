@@ -5,6 +5,7 @@ Arrays are (N images, 2 sides (LEFT, RIGHT), ...). Errors follow `metrics`: NaN 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields, replace
 from pathlib import PurePosixPath
@@ -29,7 +30,7 @@ class Protocol:
     """What counts, where data sets and published protocols differ (SPEC 7).
 
     Raises:
-        InputError: fps is not above 0.
+        InputError: fps is not above 0, or not finite.
     """
 
     visible_only: bool = False
@@ -40,8 +41,8 @@ class Protocol:
     "Samples of one folder are consecutive frames at so many a second; None for single pictures."
 
     def __post_init__(self) -> None:
-        if self.fps is not None and not self.fps > 0:
-            raise InputError(f"frames a second must be above 0, got {self.fps}")
+        if self.fps is not None and not 0 < self.fps < math.inf:
+            raise InputError(f"frames a second must be a number above 0, got {self.fps}")
 
 
 DEFAULT_PROTOCOL: Final = Protocol()
@@ -180,12 +181,14 @@ class _Labels:
         self.scale_2d = np.ones(count)
         self.joints_px = np.full((count, 2, 21, 2), np.nan)
         self.boxes_px = np.full((count, 2, 4), np.nan)
+        self.sizes_px = np.zeros((count, 2))  # width, height
         self.joints_m = np.full((count, 2, 21, 3), np.nan)
         self.overlaps: list[tuple[m.FloatArray, m.FloatArray]] = []
 
     def add(self, index: int, sample: HandSample) -> None:
         self.present[index] = sample.present
         self.scale_2d[index] = REFERENCE_WIDTH_PX / sample.camera.width
+        self.sizes_px[index] = sample.camera.width, sample.camera.height
         known = sample.valid & sample.present[:, None]  # (2, 21)
         self.joints_px[index] = np.where(known[..., None], sample.joints_px, np.nan)
         boxes_px = box_in_picture(self.joints_px[index], sample.camera.width, sample.camera.height)
@@ -224,6 +227,8 @@ def _comparison(predictions: Predictions, truth: _Labels, protocol: Protocol) ->
         )
         for align in (spherical_alignment, cartesian_alignment)
     )
+    limits_px = np.tile(truth.sizes_px[:, None], 2)  # (N, 1, 4)
+    within_picture = np.minimum(np.maximum(predictions.box_px.astype(np.float64), 0.0), limits_px)
     pairs = [np.array(arrays) for arrays in zip(*truth.overlaps, strict=True)] or [np.empty((0, 3))] * 2
     return Comparison(
         sources=predictions.sources,
@@ -233,7 +238,7 @@ def _comparison(predictions: Predictions, truth: _Labels, protocol: Protocol) ->
         judged=truth.present | protocol.all_hands_labelled,
         range_m=np.linalg.norm(true_roots, axis=-1),
         overlap=covered_share(truth.boxes_px),
-        box_iou=np.asarray(box_iou(predictions.box_px.astype(np.float64), truth.boxes_px)),
+        box_iou=np.asarray(box_iou(within_picture, truth.boxes_px)),
         joints_px=joints(by_hand(m.endpoint_errors, predictions.joints_px * scale, truth.joints_px * scale, found)),
         spherical_mm=spherical_mm,
         cartesian_mm=cartesian_mm,

@@ -7,6 +7,8 @@ range must be solved for, the hand length of the protocol.
 
 from __future__ import annotations
 
+from numbers import Real
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -51,12 +53,17 @@ def complete_hand(
         The hand; not valid where nothing tells its place in the camera frame.
 
     Raises:
-        DataFormatError: an array has another shape or is not finite, or nothing is given at all.
+        DataFormatError: an array has another shape or is not finite, a box's corners are exchanged, the score is no
+            number from 0 to 1, or nothing is given at all.
     """
+    if score is not None and (isinstance(score, bool) or not isinstance(score, Real) or not 0 <= score <= 1):
+        raise DataFormatError(f"score: a number from 0 to 1 expected, got {score!r}")
     space = None if joints_m is None else _array("joints_m", joints_m, (N_JOINTS, 3))
     pixels = None if joints_px is None else _array("joints_px", joints_px, (N_JOINTS, 2))
     pose = None if canonical is None else unit_pose(_array("canonical", canonical, (N_JOINTS, 3)))
     box = None if box_px is None else _array("box_px", box_px, (4,))
+    if box is not None and (box[:2] > box[2:]).any():
+        raise DataFormatError(f"box_px: u0 <= u1 and v0 <= v1 expected, got {box.tolist()}")
     if space is None and pixels is None and pose is None and box is None:
         raise DataFormatError("a present hand needs at least one of joints_m, joints_px, canonical and box_px")
     if space is not None:

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import json
 import os
-import zipfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final, cast
 
 import numpy as np
@@ -18,12 +18,14 @@ import numpy as np
 from twohands.errors import DataFormatError, InputError
 from twohands.evaluation.completion import complete_hand, hand_lengths_m
 from twohands.evaluation.predictions import Predictions, predict
-from twohands.skeleton import SIDES
+from twohands.skeleton import N_JOINTS, SIDES
 from twohands.types import HandPose, HandSample, TwoHandPose
 
 VERSION: Final = 1
-FIELDS: Final = ("joints_m", "joints_px", "canonical", "box_px", "score")
-"""What may be said about a present hand."""
+FIELDS: Final[Mapping[str, tuple[int, ...]]] = MappingProxyType(
+    {"joints_m": (N_JOINTS, 3), "joints_px": (N_JOINTS, 2), "canonical": (N_JOINTS, 3), "box_px": (4,), "score": ()}
+)
+"""What may be said about a present hand, and its shape."""
 
 ABSENT: Final = HandPose(present=False)
 
@@ -155,7 +157,7 @@ def _said(path: Path, source: str, side: str, value: Any) -> Mapping[str, Any] |
     said = _object(value)
     if said is None:
         raise DataFormatError(f"{path}: image '{source}', {side} hand: an object or null expected")
-    if unknown := sorted(said.keys() - set(FIELDS)):
+    if unknown := sorted(said.keys() - FIELDS.keys()):
         raise DataFormatError(
             f"{path}: image '{source}', {side} hand: unknown '{unknown[0]}'; known: {', '.join(FIELDS)}"
         )
@@ -171,19 +173,21 @@ def _read_npz(path: Path) -> ForeignPredictions:
     try:
         with np.load(path, allow_pickle=False) as archive:
             stored: dict[str, np.ndarray] = {name: archive[name] for name in archive.files}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+    except Exception as error:  # a damaged archive fails in many ways
         raise DataFormatError(f"{path}: not a complete npz file ({error})") from None
     if "header" in stored:
         raise InputError(f"{path}: is a predictions file of twohands already; score it with twohands eval score")
     if missing := [name for name in ("version", "sources", "present") if name not in stored]:
         raise DataFormatError(f"{path}: lacks the array '{missing[0]}'")
-    _check_version(path, int(stored["version"]) if stored["version"].size == 1 else None)
+    _check_version(path, stored["version"].item() if stored["version"].size == 1 else None)
     sources = [str(source) for source in stored["sources"].ravel()]
     given = [name for name in FIELDS if name in stored]
-    for name in ("present", *given):
-        if stored[name].shape[:2] != (len(sources), 2):
+    for name, kinds in (("present", "biu"), *((name, "fiu") for name in given)):
+        shape = (len(sources), 2, *FIELDS.get(name, ()))
+        if stored[name].shape != shape or stored[name].dtype.kind not in kinds:
             raise DataFormatError(
-                f"{path}: {name} must start with the shape ({len(sources)}, 2), got {stored[name].shape}"
+                f"{path}: {name} must hold {'true or false' if name == 'present' else 'numbers'} of shape {shape}, "
+                f"got {stored[name].dtype} of shape {stored[name].shape}"
             )
     hands: dict[str, tuple[Mapping[str, Any] | None, Mapping[str, Any] | None]] = {}
     for index, source in enumerate(sources):

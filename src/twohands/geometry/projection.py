@@ -55,7 +55,7 @@ def range_weights(joint_scores: Array) -> Array:
     joints = xp.arange(scores.shape[-1], device=scores.device)
     palm = xp.any(xp.stack([joints == joint for joint in PALM]), axis=0)
     certain = xp.where(xp.isfinite(scores), xp.where(scores > _LEAST_SCORE, scores, _LEAST_SCORE), 1.0)
-    return xp.where(palm, 1.0, _FINGER_WEIGHT) * certain**2
+    return xp.astype(xp.where(palm, 1.0, _FINGER_WEIGHT), scores.dtype) * certain**2
 
 
 def project_global(

@@ -66,7 +66,7 @@ def camera_for_image(camera: PinholeCamera, width: int, height: int) -> PinholeC
 def _from_json(text: str) -> dict[str, Any]:
     try:
         record = json.loads(text)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise DataFormatError(f"not JSON: {error}") from error
     if not isinstance(record, dict):
         raise DataFormatError(f"camera: a JSON object expected, found {type(record).__name__}")
@@ -100,7 +100,7 @@ def _numbers(record: dict[str, Any], distortion: Any) -> dict[str, Any]:
     try:
         values: dict[str, Any] = {name: float(record[name]) for name in _KEYS}
         coefficients = tuple(float(value) for value in distortion)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise DataFormatError(f"camera: numbers expected: {error}") from error
     while len(coefficients) > MOST_COEFFICIENTS and coefficients[-1] == 0:
         coefficients = coefficients[:-1]  # OpenCV pads those of its larger models

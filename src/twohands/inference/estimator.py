@@ -430,8 +430,13 @@ class HandEstimator:
         camera: PinholeCamera,
         lengths_m: np.ndarray,
     ) -> GlobalPose:
-        """Stage 5: canonical joints (B, 21, 3) and joints in pixels (B, 21, 2) -> metres in camera space."""
-        weights = range_weights(joint_scores)
+        """Stage 5: canonical joints (B, 21, 3) and joints in pixels (B, 21, 2) -> metres in camera space.
+
+        A joint that was found so far outside the picture that the lens's model has no line of sight there does not
+        count.
+        """
+        seen = np.isfinite(unproject(joints_px, camera)).all(axis=-1)  # (B, 21)
+        weights = np.where(seen, range_weights(joint_scores), 0.0)
         return project_global(canonical, joints_px, camera, lengths_m, method=METHOD, weights=weights)
 
 

@@ -105,7 +105,7 @@ def from_dict(record: dict[str, Any]) -> list[TwoHandPose]:
 
 def _camera_to_dict(camera: PinholeCamera) -> dict[str, Any]:
     record: dict[str, Any] = {name: _number(getattr(camera, name)) for name in ("fx", "fy", "cx", "cy")}
-    record |= {"width": camera.width, "height": camera.height}
+    record |= {"width": int(camera.width), "height": int(camera.height)}
     if camera.distortion:
         record["distortion"] = list(camera.distortion)
     return record

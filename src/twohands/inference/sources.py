@@ -1,4 +1,7 @@
-"""Pictures from files, strictly: what is damaged or cut off is refused, never half decoded."""
+"""Pictures from files, strictly: what is cut off, or damaged where the format lets one see it, is refused.
+
+The pixels of a JPEG carry no checksum: damage within them cannot be told from a picture.
+"""
 
 from __future__ import annotations
 

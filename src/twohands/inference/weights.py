@@ -212,16 +212,19 @@ def preset_folder(preset: str | Path) -> Path:
     """Find a preset by its name, or take a folder as it is.
 
     Args:
-        preset: name of a shipped preset, or path of a folder with the same layout.
+        preset: name of a shipped preset, or path of a folder with the same layout. Where both exist, a `str` is the
+            name and a `Path` the folder; "./fast" is no name.
 
     Raises:
         CheckpointError: there is neither.
     """
-    shipped = Path(str(resources.files("twohands") / "weights" / str(preset)))
-    for folder in (shipped, Path(preset)):
-        if (folder / "card.json").is_file():
-            return folder
-    known = ", ".join(preset_names()) or "none"
+    names = preset_names()
+    folder, is_name = Path(preset), str(preset) in names
+    if (folder / "card.json").is_file() and not (is_name and isinstance(preset, str)):
+        return folder
+    if is_name:
+        return Path(str(resources.files("twohands") / "weights" / str(preset)))
+    known = ", ".join(names) or "none"
     raise CheckpointError(f"weights '{preset}' not found: neither a folder with a card.json nor a preset ({known})")
 
 

@@ -14,6 +14,7 @@ Source: MediaPipe Hands 0.10.21 (its last release with `mp.solutions.hands` befo
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import subprocess
@@ -64,6 +65,8 @@ class MediaPipeHands:
         self._placement: Placement = placement
         self._model = {"complexity": complexity, "confidence": confidence}
         interpreter = str(python or sys.executable)
+        if Path(interpreter).is_file():  # else it is looked for along PATH
+            interpreter = str(Path(interpreter).absolute())
         environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
         try:
             self._process = subprocess.Popen(
@@ -93,7 +96,8 @@ class MediaPipeHands:
     def close(self) -> None:
         """Ends the process."""
         if self._process.stdin is not None:
-            self._process.stdin.close()
+            with contextlib.suppress(OSError):  # what it did not read any more is of no interest
+                self._process.stdin.close()
         try:
             self._process.wait(timeout=10)
         except subprocess.TimeoutExpired:
@@ -140,7 +144,7 @@ class MediaPipeHands:
         return [
             DetectedHand(
                 side=_SIDE_OF_LABEL[hand["label"]],
-                score=float(hand["score"]),
+                score=min(float(hand["score"]), 1.0),  # 1.0000001 at times
                 joints_px=np.array(hand["joints"], np.float64) * [width, height],
                 shape_m=np.array(hand["world_m"], np.float64),
             )

@@ -30,7 +30,7 @@ from twohands.synth.panoramas import (
     unreadable_light,
     view,
 )
-from twohands.synth.pictures import IMAGE_SUFFIXES
+from twohands.synth.pictures import IMAGE_SUFFIXES, is_cut_off
 from twohands.types import PinholeCamera
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg")
@@ -173,12 +173,26 @@ def unusable(source: ClipSource) -> str | None:
         if frames / fps < MIN_VIDEO_SECONDS:
             return f"{frames / fps:.2g} s long, at least {MIN_VIDEO_SECONDS:g} s needed"
         return None
-    path = numbered(source.path)[0] if source.kind == "frames" else source.path
-    if cv2.imread(str(path), cv2.IMREAD_REDUCED_COLOR_8) is None:
+    if source.kind == "frames":
+        damaged = next((path.name for path in numbered(source.path) if not _is_readable(path)), None)
+        return None if damaged is None else f"{damaged} is not a picture that can be read"
+    if not _is_readable(source.path):
         return "not a picture that can be read"
-    if source.kind == "panorama" and unreadable_light(path):
-        return f"its light ({light_file(path).parent.name}/{light_file(path).name}) cannot be read"
+    if source.kind == "panorama" and unreadable_light(source.path):
+        light = light_file(source.path)
+        return f"its light ({light.parent.name}/{light.name}) cannot be read"
     return None
+
+
+def _is_readable(path: Path) -> bool:
+    """Whether a file is a whole picture."""
+    try:
+        data = path.read_bytes()
+    except OSError:
+        return False
+    if not data or is_cut_off(data):
+        return False
+    return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_REDUCED_COLOR_8) is not None
 
 
 def open_clip(source: ClipSource, rng: np.random.Generator, frames: int, fps: float, camera: PinholeCamera) -> Clip:
@@ -291,16 +305,17 @@ class _Film:
     ) -> None:
         self.reader, self.size, self.look = reader, size, look
         self.step = reader.fps / fps
-        room = reader.count - int(np.ceil(frames * self.step))
+        self.count = reader.count  # as announced: what the reader finds out later must not change earlier frames
+        room = self.count - int(np.ceil(frames * self.step))
         start, self.zoom, self.centre = rng.random(), rng.uniform(0.8, 1.0), rng.random(2)
         self.start = int(start * min(room, MAX_START_SECONDS * reader.fps)) if room > 0 else 0
         self._kept: dict[int, np.ndarray] | None = {} if room < 0 else None
 
     def frame(self, index: int) -> np.ndarray:
         position = self.start + int(index * self.step + 1e-6)
-        span = max(self.reader.count - 1, 1)
+        span = max(self.count - 1, 1)
         position = span - abs(span - position % (2 * span))  # to and fro
-        position = min(position, self.reader.count - 1)
+        position = min(position, self.count - 1)
         return self.look.apply(self._crop(self._read(position)))
 
     def surroundings(self, index: int) -> None:

@@ -128,7 +128,7 @@ def _read_light(path: Path) -> np.ndarray | None:
     """(H, 2 H, 3) float; None if it is no such array, or has no light in most directions."""
     try:
         light = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError):
+    except Exception:  # a damaged archive fails in many ways
         return None
     if light.ndim != 3 or light.shape[1:] != (2 * light.shape[0], 3) or light.dtype.kind != "f":
         return None

@@ -106,7 +106,7 @@ def read_picture(path: Path) -> np.ndarray | None:
         data = path.read_bytes()
     except OSError:
         return None
-    if not data or _is_cut_off(data):
+    if not data or is_cut_off(data):
         return None
     picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     if picture is None:
@@ -117,7 +117,7 @@ def read_picture(path: Path) -> np.ndarray | None:
     return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB))
 
 
-def _is_cut_off(data: bytes) -> bool:
+def is_cut_off(data: bytes) -> bool:
     """Whether a JPEG or PNG ends early; the decoder would fill the rest with grey without a word.
 
     A JPEG may hold a preview with an end of its own, and cameras append data: its last scan must be closed.

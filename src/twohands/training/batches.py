@@ -23,7 +23,7 @@ from torch.utils.data import DataLoader, Dataset, Sampler
 from twohands.datasets.hand_views import hand_box, hand_classes
 from twohands.datasets.pose_targets import PoseTarget, Segmentation, false_hand, mirrored_hand, pose_target
 from twohands.datasets.segmentation_targets import segmentation_target
-from twohands.errors import InputError
+from twohands.errors import InputError, TwoHandsError
 from twohands.geometry.boxes import box_iou
 from twohands.geometry.segmentation import (
     as_one_hand,
@@ -364,15 +364,18 @@ class BatchDataset(Dataset[Batch]):
         return self._build(samples, rngs, others)
 
 
-class TimedBatches(Dataset[tuple[float, Batch]]):
-    """Batches, each with the seconds that it took to make."""
+class TimedBatches(Dataset[tuple[float, Batch | TwoHandsError]]):
+    """Batches, each with the seconds that it took to make; in place of one that cannot be made, what is wrong."""
 
     def __init__(self, dataset: BatchDataset) -> None:
         self.dataset = dataset
 
-    def __getitem__(self, step: int) -> tuple[float, Batch]:
+    def __getitem__(self, step: int) -> tuple[float, Batch | TwoHandsError]:
         start = time.perf_counter()
-        batch = self.dataset[step]
+        try:
+            batch: Batch | TwoHandsError = self.dataset[step]
+        except TwoHandsError as error:  # raised in a worker, it would come out as that worker's traceback
+            batch = error
         return time.perf_counter() - start, batch
 
 
@@ -389,7 +392,7 @@ class StepsFrom(Sampler[int]):
         return len(self.steps)
 
 
-def batch_loader(dataset: BatchDataset, start: int) -> DataLoader[tuple[float, Batch]]:
+def batch_loader(dataset: BatchDataset, start: int) -> DataLoader[tuple[float, Batch | TwoHandsError]]:
     """Loads the batches of the steps from `start` on, in order, ahead of their use, as `TimedBatches` does."""
     workers = dataset.config.data.workers
     return DataLoader(
@@ -415,11 +418,13 @@ def validation_batches(
 
 
 def _calm_worker(_: int) -> None:
-    """Leave the keyboard and, where there are too few for all, the cores to the training process: its threads wait for
-    each other, so that one that has to share its core holds up all of them."""
+    """Leave requests to end and, where there are too few for all, the cores to the training process: it finishes its
+    step and ends its workers, and its threads wait for each other, so that one that has to share its core holds up all
+    of them."""
     if hasattr(os, "nice"):
         os.nice(WORKER_NICENESS)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
     cv2.setNumThreads(0)
     torch.set_num_threads(1)
 

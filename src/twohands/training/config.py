@@ -60,6 +60,11 @@ class DataConfig:
         for name in ("procedural", "clutter", "empty"):
             if not 0 <= getattr(self, name) <= 1:
                 raise InputError(f"data.{name} must lie in [0, 1], got {getattr(self, name)}")
+        for name in ("validation", "seed", "workers"):
+            if getattr(self, name) < 0:
+                raise InputError(f"data.{name} must not be negative, got {getattr(self, name)}")
+        if self.variants < 1:
+            raise InputError(f"data.variants must be at least 1, got {self.variants}")
 
 
 @dataclass(frozen=True)
@@ -196,7 +201,7 @@ class TrainConfig:
         for name in ("iterations", "batch_images", "validate_every", "log_every"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} must be at least 1, got {getattr(self, name)}")
-        for name in ("max_minutes", "checkpoint_minutes"):
+        for name in ("max_minutes", "checkpoint_minutes", "seed", "threads"):
             if not getattr(self, name) >= 0:
                 raise InputError(f"{name} must not be negative, got {getattr(self, name)}")
         softmax = self.networks.pose_net_2d.activation == "softmax"
@@ -299,7 +304,7 @@ def recipe(name: RecipeName, stage: StageName) -> TrainConfig:
         precision="bf16-mixed",
         networks=SLIM,
         data=DataConfig(clutter=0.25 if pose else 0.4, empty=0.12 if pose else 0.1),
-        crop=CropConfig("perspective", margin=1.3, shift=0.05, smallest=0.95, largest=1.07, roll=60.0, background=0.3),
+        crop=CropConfig("perspective", margin=1.2, shift=0.05, smallest=0.95, largest=1.07, roll=60.0, background=0.3),
         augment=AugmentConfig(
             photometric=PhotometricConfig(
                 brightness=0.06, contrast=0.15, gamma=0.3, hue=0.02, saturation=0.2, blur=0.4, noise=0.02, texture=0.03

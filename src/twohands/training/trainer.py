@@ -20,7 +20,7 @@ import torch
 from lightning_fabric import Fabric
 from torch import Tensor, nn
 
-from twohands.errors import CheckpointError, InputError
+from twohands.errors import CheckpointError, InputError, TwoHandsError
 from twohands.models.checkpoint import load_tensors, save_network, save_tensors
 from twohands.training.batches import (
     Batch,
@@ -178,6 +178,7 @@ def train(
 
     Raises:
         InputError: `out` holds another run, `resume` finds none, or the processes cannot share a batch evenly.
+        TwoHandsError: a picture cannot be used; after the state was saved.
         KeyboardInterrupt: after the state was saved.
     """
     state_path = out / STATE_FILE
@@ -185,7 +186,10 @@ def train(
         raise InputError(f"{out} holds no training run to resume")
     if not resume and (out / CONFIG_FILE).exists():
         raise InputError(f"{out} already holds a training run; choose another folder, or resume it")
-    out.mkdir(parents=True, exist_ok=True)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{out}: cannot be made ({error.strerror})") from error
     if config.threads:
         torch.set_num_threads(config.threads)
     _keep_freed_memory()
@@ -230,6 +234,9 @@ def train(
     clock, saved = time.monotonic() - state.elapsed_s, time.monotonic()
     with _StopSignal() as stop:
         for making_s, batch in batch_loader(batches, state.iteration):
+            if isinstance(batch, TwoHandsError):
+                keep()
+                raise batch
             done = progress(config, state.iteration, state.elapsed_s) if first else 0.0
             # The first process's clock decides for all, so that all make the same steps.
             done, interrupts, items = _sums(fabric, done, stop.asked, len(batch["image"]))

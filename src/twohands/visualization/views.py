@@ -217,7 +217,7 @@ def _style(axes: Axes, reach: float) -> None:
     """Same grid on both axes, quiet frame."""
     from matplotlib.ticker import MultipleLocator
 
-    step = next(step for step in (5, 10, 20, 50, 100, 200, 500, 1e9) if reach / step <= 7)
+    step = next((step for step in (5, 10, 20, 50, 100, 200, 500) if reach / step <= 7), reach / 5)
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MultipleLocator(step))
     axes.grid(color=_GRID, lw=0.7, zorder=0)
