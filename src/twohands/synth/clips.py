@@ -30,7 +30,7 @@ from twohands.synth.panoramas import (
     unreadable_light,
     view,
 )
-from twohands.synth.pictures import IMAGE_SUFFIXES, is_cut_off
+from twohands.synth.pictures import IMAGE_SUFFIXES, decode_whole
 from twohands.types import PinholeCamera
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg")
@@ -185,14 +185,8 @@ def unusable(source: ClipSource) -> str | None:
 
 
 def _is_readable(path: Path) -> bool:
-    """Whether a file is a whole picture."""
-    try:
-        data = path.read_bytes()
-    except OSError:
-        return False
-    if not data or is_cut_off(data):
-        return False
-    return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_REDUCED_COLOR_8) is not None
+    """Whether a file is a whole picture; decoded small, for that is quick."""
+    return decode_whole(path, cv2.IMREAD_REDUCED_COLOR_8) is not None
 
 
 def open_clip(source: ClipSource, rng: np.random.Generator, frames: int, fps: float, camera: PinholeCamera) -> Clip:

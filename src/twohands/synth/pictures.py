@@ -102,13 +102,7 @@ def read_picture(path: Path) -> np.ndarray | None:
     Returns:
         (H, W, 3) uint8 RGB; None if the file is missing, cut off, or no picture.
     """
-    try:
-        data = path.read_bytes()
-    except OSError:
-        return None
-    if not data or is_cut_off(data):
-        return None
-    picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    picture = decode_whole(path)
     if picture is None:
         return None
     scale = (2048 if is_panorama(*picture.shape[1::-1]) else 960) / max(picture.shape[:2])
@@ -117,7 +111,26 @@ def read_picture(path: Path) -> np.ndarray | None:
     return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB))
 
 
-def is_cut_off(data: bytes) -> bool:
+def decode_whole(path: Path, flags: int = cv2.IMREAD_COLOR) -> np.ndarray | None:
+    """A picture as OpenCV decodes it.
+
+    Args:
+        path: the file.
+        flags: OpenCV's, how to decode it.
+
+    Returns:
+        (H, W, 3) uint8 BGR; None if the file is missing, cut off, or no picture.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError:
+        return None
+    if not data or _is_cut_off(data):
+        return None
+    return cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+
+
+def _is_cut_off(data: bytes) -> bool:
     """Whether a JPEG or PNG ends early; the decoder would fill the rest with grey without a word.
 
     A JPEG may hold a preview with an end of its own, and cameras append data: its last scan must be closed.
