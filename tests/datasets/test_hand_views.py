@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from tests.datasets.drawn import sample
 
-from twohands.datasets.hand_views import boxes_inside, hand_box, hand_classes
+from twohands.datasets.hand_views import MOST_CUT, boxes_inside, cut_at_border, hand_box, hand_classes
+from twohands.geometry.camera import project
 from twohands.skeleton import LEFT, RIGHT
 
 
@@ -40,3 +41,48 @@ def test_a_hand_of_which_a_sliver_is_left_is_absent(left, there):
     boxes, present = boxes_inside(hand[None], 240, 135)
     assert present.tolist() == [there]
     assert boxes[0].tolist() == ([max(left, 0), 10, left + 100, 60] if there else [0, 0, 0, 0])
+
+
+def test_a_cut_picture_is_a_part_of_the_picture_with_a_hand_at_its_edge():
+    edges = set()
+    for seed in range(80):
+        original = sample(seed % 4)
+        height, width = original.image.shape[:2]
+        cut = cut_at_border(original, np.random.default_rng(seed))
+        assert (cut.camera.height, cut.camera.width) == cut.image.shape[:2] == cut.labels.shape
+        left, top = original.camera.cx - cut.camera.cx, original.camera.cy - cut.camera.cy
+        right, bottom = left + cut.camera.width, top + cut.camera.height
+        assert min(left, top, width - right, height - bottom) >= 0
+        assert min(cut.camera.width / width, cut.camera.height / height) >= 1 - MOST_CUT
+        assert cut.camera.width / cut.camera.height == pytest.approx(width / height, abs=0.03)
+        window = slice(int(top), int(bottom)), slice(int(left), int(right))
+        assert np.array_equal(cut.image, original.image[window])
+        assert np.array_equal(cut.labels, original.labels[window])
+        assert np.allclose(project(cut.joints_m, cut.camera), cut.joints_px)
+        inside = (cut.joints_px >= 0) & (cut.joints_px < [cut.camera.width, cut.camera.height])
+        assert cut.present.tolist() == inside.all(axis=-1).any(axis=1).tolist()
+        for box in (hand_box(original, side) for side in (LEFT, RIGHT)):
+            crossings = {"left": (0, left), "top": (1, top), "right": (0, right), "bottom": (1, bottom)}
+            edges |= {name for name, (axis, line) in crossings.items() if box[axis] < line < box[axis + 2]}
+    assert edges >= {"left", "right", "bottom"}
+
+
+def test_a_hand_may_be_gone_from_a_cut_picture():
+    original = sample(present=(True, False))
+    points = original.joints_px - original.joints_px.mean(axis=1, keepdims=True)
+    near_edge = dataclasses.replace(original, joints_px=points * 0.2 + [30, original.camera.height / 2])
+    cuts = [cut_at_border(near_edge, np.random.default_rng(seed)) for seed in range(60)]
+    gone = [not cut.present[LEFT] for cut in cuts]
+    assert 0.05 < np.mean(gone) < 0.4
+    assert [hand_box(cut, LEFT) is None for cut, none in zip(cuts, gone, strict=True) if none] == [True] * sum(gone)
+
+
+def test_nothing_is_cut_where_no_hand_is_or_it_would_cost_too_much():
+    rng = np.random.default_rng(0)
+    bare = sample(present=(False, False))
+    assert cut_at_border(bare, rng) is bare
+    original = sample()
+    centre = np.array([original.camera.width, original.camera.height]) / 2
+    middle = centre + (original.joints_px - original.joints_px.mean(axis=1, keepdims=True)) * 0.05
+    far = dataclasses.replace(original, joints_px=middle)
+    assert cut_at_border(far, rng) is far

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from twohands.geometry.boxes import box_from_points
@@ -10,6 +12,10 @@ from twohands.types import HandSample
 
 LEAST_INSIDE = 0.2
 """A hand of whose box a change has left less than this in the picture counts as absent."""
+MOST_CUT = 0.4
+"""Largest share of a picture's width and height that `cut_at_border` takes away."""
+KEPT = (-0.25, 1.0)
+"""Range of the share of a hand's box that it leaves in the picture; below 0 only the arm may be left."""
 
 
 def hand_classes(labels: np.ndarray) -> np.ndarray:
@@ -43,6 +49,44 @@ def boxes_inside(points: np.ndarray, width: int, height: int) -> tuple[np.ndarra
     sizes, whole_sizes = inside[:, 2:] - inside[:, :2], whole[:, 2:] - whole[:, :2]
     present = (sizes.min(axis=1) >= 2) & (sizes.prod(axis=1) >= LEAST_INSIDE * whole_sizes.prod(axis=1))
     return np.where(present[:, None], inside, 0.0), present
+
+
+def cut_at_border(sample: HandSample, rng: np.random.Generator) -> HandSample:
+    """The part of a picture that a hand is leaving or has left: a random line across the box of one of its hands, or
+    beside it, is an edge of the part, which has the picture's shape.
+
+    Returns:
+        A sample with views into the arrays of the given one, its labels and intrinsics in pixels of the part; a hand
+        without any joint in it is absent. The given sample if it shows no hand, or if any such part would be smaller
+        than `MOST_CUT` allows.
+    """
+    size = np.array(sample.image.shape[1::-1])
+    boxes, found = boxes_inside(hand_points(sample), *size)
+    if not found.any():
+        return sample
+    low, high = boxes[rng.choice(np.flatnonzero(found))].reshape(2, 2)
+    kept = rng.uniform(*KEPT) * (high - low)
+    lost = np.stack([high - kept, size - (low + kept)]) / size  # [which end, axis]
+    allowed = np.argwhere(lost <= MOST_CUT)
+    if not len(allowed):
+        return sample
+    end, axis = allowed[rng.integers(len(allowed))]
+    width, height = part = np.ceil(size * (1 - lost[end, axis])).astype(int)
+    corner = rng.integers(0, size - part + 1)
+    corner[axis] = 0 if end else (size - part)[axis]
+    (left, top), camera = corner, sample.camera
+    window = slice(top, top + height), slice(left, left + width)
+    joints_px = sample.joints_px - corner
+    inside = np.asarray(sample.valid) & ((joints_px >= 0) & (joints_px < part)).all(axis=-1)
+    return replace(
+        sample,
+        image=sample.image[window],
+        camera=replace(camera, cx=camera.cx - left, cy=camera.cy - top, width=int(width), height=int(height)),
+        present=np.asarray(sample.present) & inside.any(axis=1),
+        joints_px=joints_px,
+        labels=None if sample.labels is None else sample.labels[window],
+        depth_m=None if sample.depth_m is None else sample.depth_m[window],
+    )
 
 
 def random_roll(largest_deg: float, rng: np.random.Generator | None) -> np.ndarray:

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, Sampler
 
-from twohands.datasets.hand_views import hand_box, hand_classes
+from twohands.datasets.hand_views import cut_at_border, hand_box, hand_classes
 from twohands.datasets.pose_targets import PoseTarget, Segmentation, false_hand, mirrored_hand, pose_target
 from twohands.datasets.segmentation_targets import segmentation_target
 from twohands.errors import InputError, TwoHandsError
@@ -200,6 +200,9 @@ def pose_batch(
     """
     size = config.networks.pose_net_2d.crop_size
     judged = config.networks.pose_net_2d.judge
+    if rngs and config.augment.cut:
+        pairs = zip(samples, rngs, strict=True)
+        samples = [cut_at_border(one, rng) if rng.random() < config.augment.cut else one for one, rng in pairs]
     targets: list[PoseTarget] = []
     lots: list[float] = []
     shares = [config.augment.predicted if any(sample.present) else 1.0 for sample in samples]

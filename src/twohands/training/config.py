@@ -78,6 +78,8 @@ class AugmentConfig:
     predicted: float = 0.7
     """Share of pictures with hands that are cropped by HandSegNet's own masks and boxes where there are any (pose
     stages)."""
+    cut: float = 0.0
+    """Share of pictures cut so that a hand is leaving them (pose stages)."""
     mirrored: float = 0.0
     """Share of crops shown mirrored, as hands of the wrong side (pose stages with a judge)."""
     united: float = 0.0
@@ -304,13 +306,23 @@ def recipe(name: RecipeName, stage: StageName) -> TrainConfig:
         precision="bf16-mixed",
         networks=SLIM,
         data=DataConfig(clutter=0.25 if pose else 0.4, empty=0.12 if pose else 0.1),
-        crop=CropConfig("perspective", margin=1.2, shift=0.05, smallest=0.95, largest=1.07, roll=60.0, background=0.3),
+        crop=CropConfig(
+            "perspective",
+            margin=1.2,
+            shift=0.05,
+            smallest=0.95,
+            largest=1.07,
+            roll=60.0,
+            background=0.3,
+            min_joints=6,
+        ),
         augment=AugmentConfig(
             photometric=PhotometricConfig(
                 brightness=0.06, contrast=0.15, gamma=0.3, hue=0.02, saturation=0.2, blur=0.4, noise=0.02, texture=0.03
             ),
             masks=MaskConfig(coarse=0.5, border=0.03, holes=0.15, spill=0.2, confusion=0.15, no_arm=0.15),
             predicted=0.5,
+            cut=0.12,
             mirrored=0.12,
             united=0.5,
             zoom=ZoomConfig(zoom=0.4, shift=0.05, flip=0.5, roll=45.0, close=0.25, cut=0.5),
