@@ -23,8 +23,8 @@ def read_joints(maps: np.ndarray, decoder: str) -> tuple[np.ndarray, np.ndarray]
         (..., 21, 2) u, v in map cells, (0, 0) the outer corner, and (..., 21) scores 0..1.
 
     Source: SPEC 3. The paper does not say how it reads its maps. The window is ours: the mean over the whole map is
-    drawn towards the crop's centre by any stray mass, and by the missing tail of a wide z-heatmap near the border,
-    which is also why the window shrinks to stay symmetric about a peak near the border.
+    drawn towards the crop's centre by any stray mass. Near the border the window is cut: networks that learn from the
+    mean allow for the tail that a wide map misses there.
     """
     if decoder == "subpixel":
         joints, peaks = codec.decode_subpixel(maps)
@@ -49,5 +49,4 @@ def _windowed_mean(maps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _window(peak: np.ndarray, size: int) -> np.ndarray:
     """Cells within reach of each peak along one axis: (...) indices -> (..., size) bool."""
-    reach = np.clip(np.minimum(peak, size - 1 - peak), 1, WINDOW_RADIUS)
-    return np.abs(np.arange(size) - peak[..., None]) <= reach[..., None]
+    return np.abs(np.arange(size) - peak[..., None]) <= WINDOW_RADIUS
