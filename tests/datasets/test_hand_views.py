@@ -74,7 +74,16 @@ def test_a_hand_may_be_gone_from_a_cut_picture():
     cuts = [cut_at_border(near_edge, np.random.default_rng(seed)) for seed in range(60)]
     gone = [not cut.present[LEFT] for cut in cuts]
     assert 0.05 < np.mean(gone) < 0.4
-    assert [hand_box(cut, LEFT) is None for cut, none in zip(cuts, gone, strict=True) if none] == [True] * sum(gone)
+    assert all(hand_box(cut, LEFT) is None for cut in cuts if not cut.present[LEFT])
+
+
+def test_a_hand_without_labels_is_not_taken_for_gone_from_a_cut_picture():
+    """PoseNet2D's judge would be shown it as no hand."""
+    original = sample()
+    half_labelled = dataclasses.replace(original, valid=np.stack([original.valid[LEFT], np.zeros(21, bool)]))
+    cuts = [cut_at_border(half_labelled, np.random.default_rng(seed)) for seed in range(20)]
+    assert all(cut.present[RIGHT] for cut in cuts)
+    assert any(cut is not half_labelled for cut in cuts)
 
 
 def test_nothing_is_cut_where_no_hand_is_or_it_would_cost_too_much():

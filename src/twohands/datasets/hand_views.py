@@ -51,14 +51,19 @@ def boxes_inside(points: np.ndarray, width: int, height: int) -> tuple[np.ndarra
     return np.where(present[:, None], inside, 0.0), present
 
 
+def inside_picture(points: np.ndarray, width: int, height: int) -> np.ndarray:
+    """(..., 2) points -> (...) bool, within [0, width) x [0, height); NaN is outside."""
+    return np.asarray(((points >= 0) & (points < [width, height])).all(axis=-1))
+
+
 def cut_at_border(sample: HandSample, rng: np.random.Generator) -> HandSample:
     """The part of a picture that a hand is leaving or has left: a random line across the box of one of its hands, or
     beside it, is an edge of the part, which has the picture's shape.
 
     Returns:
         A sample with views into the arrays of the given one, its labels and intrinsics in pixels of the part; a hand
-        without any joint in it is absent. The given sample if it shows no hand, or if any such part would be smaller
-        than `MOST_CUT` allows.
+        whose labelled joints all lie outside is absent, one without labels stays what it was. The given sample if it
+        shows no labelled hand, or if any such part would be smaller than `MOST_CUT` allows.
     """
     size = np.array(sample.image.shape[1::-1])
     boxes, found = boxes_inside(hand_points(sample), *size)
@@ -77,12 +82,13 @@ def cut_at_border(sample: HandSample, rng: np.random.Generator) -> HandSample:
     (left, top), camera = corner, sample.camera
     window = slice(top, top + height), slice(left, left + width)
     joints_px = sample.joints_px - corner
-    inside = np.asarray(sample.valid) & ((joints_px >= 0) & (joints_px < part)).all(axis=-1)
+    labelled = np.asarray(sample.valid)
+    left_over = (labelled & inside_picture(joints_px, width, height)).any(axis=1) | ~labelled.any(axis=1)
     return replace(
         sample,
         image=sample.image[window],
         camera=replace(camera, cx=camera.cx - left, cy=camera.cy - top, width=int(width), height=int(height)),
-        present=np.asarray(sample.present) & inside.any(axis=1),
+        present=np.asarray(sample.present) & left_over,
         joints_px=joints_px,
         labels=None if sample.labels is None else sample.labels[window],
         depth_m=None if sample.depth_m is None else sample.depth_m[window],

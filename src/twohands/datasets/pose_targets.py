@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from twohands.datasets.hand_views import hand_box, hand_classes, random_roll
+from twohands.datasets.hand_views import hand_box, hand_classes, inside_picture, random_roll
 from twohands.datasets.transforms import MaskConfig, PhotometricConfig, jitter_colours, spoil_masks
 from twohands.errors import InputError
 from twohands.geometry.boxes import (
@@ -168,7 +168,7 @@ def pose_target(
     known = np.asarray(sample.valid[side]) & np.isfinite(sample.joints_px[side]).all(axis=-1)
     joints_px = np.where(known[:, None], sample.joints_px[side], 0.0)
     height, width = sample.image.shape[:2]
-    if int((known & _inside(joints_px, width, height)).sum()) < crop.min_joints:
+    if int((known & inside_picture(joints_px, width, height)).sum()) < crop.min_joints:
         return None
 
     rolled_camera = random_roll(crop.roll, rng)
@@ -186,7 +186,7 @@ def pose_target(
         rolled_from_crop = crop_matrix(rolled_box, sample.camera, side, size, crop, rng)
     image_from_crop = unrolled @ rolled_from_crop
     crop_joints = np.asarray(apply_homography(np.linalg.inv(image_from_crop), joints_px))
-    inside = known & _inside(crop_joints, size, size)
+    inside = known & inside_picture(crop_joints, size, size)
     image = warp_image(sample.image, image_from_crop, size, interpolation="linear")
     if sample.labels is None:
         classes = np.full((size, size), side + 1, np.uint8)
@@ -302,8 +302,3 @@ def _canonical_target(sample: HandSample, side: int, rolled_camera: np.ndarray) 
     if side == RIGHT:
         pose = pose @ MIRROR_X
     return pose, float(np.linalg.norm(joints[ROOT]) / canonical.hand_length_m), known
-
-
-def _inside(points: np.ndarray, width: int, height: int) -> np.ndarray:
-    """(N, 2) points -> (N,) bool, within [0, width) x [0, height); NaN is outside."""
-    return (points >= 0).all(axis=-1) & (points[:, 0] < width) & (points[:, 1] < height)
