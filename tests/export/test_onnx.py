@@ -186,12 +186,13 @@ def test_other_modules_are_refused(tmp_path):
 
 
 def test_linear_maps_are_read_by_sub_pixel(checkpoints, tmp_path, monkeypatch):
-    config = PoseNet2DConfig("encoder-decoder", crop_size=128, stages=1, width=0.1, activation="linear")
+    config = PoseNet2DConfig("encoder-decoder", crop_size=160, stages=1, width=0.1, activation="linear")
     linear = tmp_path / "linear.safetensors"
     save_network("pose_net_2d", PoseNet2D(config), linear, note={"crop": {"kind": "square", "margin": 1.5}})
     monkeypatch.setattr(onnx, "export_network", lambda *_: None)  # only the card matters here
     card = onnx.export_preset({**checkpoints, "pose_net_2d": linear}, tmp_path / "mini", name="mini")
     assert card["pose_net_2d"]["heatmap_decode"] == "subpixel"
+    assert card["pose_net_2d"]["map_size"] == 40
     assert card["pose_net_2d"]["crop_kind"] == "square"
 
 

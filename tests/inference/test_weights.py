@@ -14,7 +14,9 @@ from twohands.inference.engine import load_networks
 from twohands.inference.estimator import HandEstimator
 from twohands.inference.weights import (
     DEFAULT_PRESET,
+    NETWORK_NAMES,
     PictureLook,
+    network_files,
     preset_folder,
     preset_names,
     read_card,
@@ -83,7 +85,10 @@ def test_a_folder_is_taken_before_a_shipped_preset_of_its_name(tiny, tmp_path, m
         (lambda card: card["hand_seg_net"].update(further_looks=[{"size": [48, 80]}]), "multiples of 32"),
         (lambda card: card["hand_seg_net"].update(further_looks=[{"mirrored": True}]), "'size' is missing"),
         (lambda card: card["pose_net_2d"].update(rolls_deg=15), "card: "),
-        (lambda card: card.update(networks="../elsewhere"), "folder beside the card's"),
+        (lambda card: card.update(networks={"hand_seg_net": "../elsewhere"}), "folders beside the card's"),
+        (lambda card: card.update(networks={"hand_seg_net": ""}), "folders beside the card's"),
+        (lambda card: card.update(networks={"hand_net": "fast"}), "unknown ones, hand_net"),
+        (lambda card: card.update(networks="fast"), "card: "),
     ],
 )
 def test_a_bad_card_is_refused(copied, change, message):
@@ -95,7 +100,8 @@ def test_a_bad_card_is_refused(copied, change, message):
 
 
 def test_a_card_alone_runs_the_networks_of_the_preset_that_it_names(copied):
-    card = json.loads((copied / "card.json").read_text()) | {"name": "patient", "networks": copied.name}
+    card = json.loads((copied / "card.json").read_text()) | {"name": "patient"}
+    card["networks"] = dict.fromkeys(NETWORK_NAMES, copied.name)
     card["hand_seg_net"] |= {
         "further_looks": [{"size": [64, 96]}, {"size": [32, 64], "mirrored": True}],
         "doubt": [0, 1],
@@ -120,6 +126,17 @@ def test_a_card_alone_runs_the_networks_of_the_preset_that_it_names(copied):
     (copied / "pose_net_2d.onnx").unlink()
     with pytest.raises(CheckpointError, match=r"copy: pose_net_2d\.onnx is missing"):
         read_card(alone)
+
+
+def test_a_preset_with_networks_of_its_own_takes_the_others_of_another_one(copied):
+    own = copied.parent / "half"
+    own.mkdir()
+    for name in ("pose_net_2d", "pose_net_3d"):
+        (copied / f"{name}.onnx").rename(own / f"{name}.onnx")
+    card = json.loads((copied / "card.json").read_text()) | {"networks": {"hand_seg_net": copied.name}}
+    (own / "card.json").write_text(json.dumps(card))
+    homes = {name: path.parent for name, path in network_files(own, read_card(own)).items()}
+    assert homes == {"hand_seg_net": copied, "pose_net_2d": own, "pose_net_3d": own}
 
 
 def test_missing_and_damaged_cards_are_refused(copied):

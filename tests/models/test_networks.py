@@ -96,6 +96,20 @@ def test_cpm9_size_by_hand():
         assert parameters(PoseNet2D(PAPER.pose_net_2d)) == first + shared + 5 * later
 
 
+def test_pose_net_3d_takes_maps_of_any_size():
+    network, levels = PoseNet3D(PoseNet3DConfig(width=0.125)).eval(), torch.rand(3, 21, 1, 1)
+    joints = network(levels.expand(3, 21, 32, 32))
+    assert joints.std() > 0
+    torch.testing.assert_close(network(levels.expand(3, 21, 40, 40)), joints)
+
+
+@pytest.mark.parametrize(("variant", "cells"), [("vgg", 20), ("encoder-decoder", 40)])
+def test_a_crop_of_another_size_gives_maps_of_another_size(variant, cells):
+    config = PoseNet2DConfig(variant, crop_size=160, stages=1, width=0.07)
+    assert config.map_size == cells
+    assert PoseNet2D(config).eval()(torch.zeros(1, 3, 160, 160))[0].shape == (1, 21, cells, cells)
+
+
 @pytest.mark.parametrize("variant", ["cpm9", "vgg"])
 def test_pose_machine_gives_one_set_of_maps_per_stage(variant):
     net = PoseNet2D(PoseNet2DConfig(variant, stages=3, width=0.07)).eval()
@@ -187,7 +201,8 @@ def test_the_presets_can_be_built():
         (HandSegNetConfig, {"width": -1.0}, "-1.0"),
         (HandSegNetConfig, {"variant": "u-net"}, "u-net"),
         (PoseNet2DConfig, {"variant": "cpm7"}, "cpm7"),
-        (PoseNet2DConfig, {"crop_size": 128}, "128"),
+        (PoseNet2DConfig, {"crop_size": 144}, "144"),
+        (PoseNet2DConfig, {"crop_size": 0}, "0"),
         (PoseNet2DConfig, {"variant": "encoder-decoder", "crop_size": 128, "stages": 2}, "2"),
         (PoseNet2DConfig, {"activation": "relu"}, "relu"),
         (PoseNet2DConfig, {"judge": True}, "cpm9"),

@@ -246,6 +246,17 @@ def test_hand_seg_net_can_go_on_with_pictures_of_another_size(tmp_path):
         assert torch.equal(stage.net.state_dict()[name], value)
 
 
+def test_weights_from_crops_of_another_size_go_on_learning(tmp_path):
+    config = tiny_run("pose_net_2d")
+    network = build_network("pose_net_2d", config.networks.pose_net_2d)
+    save_network("pose_net_2d", network, tmp_path / "small.safetensors")
+    larger = with_override(config, "networks.pose_net_2d.crop_size=160")
+    stage = build_stage(larger, [tmp_path / "small.safetensors"])
+    assert stage.net.config.map_size == 40
+    found = stage.net.state_dict()
+    assert all(torch.equal(found[name], value) for name, value in network.state_dict().items())
+
+
 def test_weights_without_a_judge_can_be_taught_to_judge(tmp_path):
     """The weights shipped until November 2026 had none."""
     config = tiny_run("pose_net_2d")

@@ -22,7 +22,7 @@ from torch import Tensor, nn
 from twohands.errors import CheckpointError, InputError
 from twohands.models.checkpoint import HALF, describe, load_network, read_note
 from twohands.models.hand_seg_net import HandSegNet
-from twohands.models.pose_net_2d import MAP_SIZE, PoseNet2D
+from twohands.models.pose_net_2d import PoseNet2D
 from twohands.models.pose_net_3d import PoseNet3D
 from twohands.skeleton import N_JOINTS
 
@@ -46,7 +46,9 @@ class HeatmapNet(nn.Module):
         return (heatmaps,) if hand_logit is None else (heatmaps, hand_logit)
 
 
-def export_network(network: nn.Module, path: str | Path, note: Mapping[str, Any] | None = None) -> None:
+def export_network(
+    network: nn.Module, path: str | Path, note: Mapping[str, Any] | None = None, map_size: int = 32
+) -> None:
     """Write one network as ONNX with float32 arithmetic, float16 storage and a free batch size, atomically.
 
     Batch normalisation stays in the graph (runtimes fold it when they load it) and weights keep their names, so that
@@ -58,6 +60,7 @@ def export_network(network: nn.Module, path: str | Path, note: Mapping[str, Any]
             or PoseNet3D (output canonical). Inputs are normalised, NCHW.
         path: destination.
         note: as for `models.checkpoint.save_network`.
+        map_size: of the heatmaps that PoseNet3D is given, side in cells.
 
     Raises:
         InputError: another kind of network.
@@ -70,7 +73,7 @@ def export_network(network: nn.Module, path: str | Path, note: Mapping[str, Any]
         name, model, inputs, outputs = "pose_net_2d", HeatmapNet(network), "crop", ["heatmaps"]
         outputs += ["hand_logit"] if network.judge is not None else []
     elif isinstance(network, PoseNet3D):
-        shape = (2, N_JOINTS + network.config.cues, MAP_SIZE, MAP_SIZE)
+        shape = (2, N_JOINTS + network.config.cues, map_size, map_size)
         name, model, inputs, outputs = "pose_net_3d", network, "heatmaps", ["canonical"]
     else:
         raise InputError(f"cannot export a {type(network).__name__}")
@@ -174,12 +177,14 @@ def export_preset(
         raise CheckpointError(f"{checkpoints['pose_net_2d']}: does not say how its crops were cut; train it again")
     configs: dict[str, dict[str, Any]] = {key: dataclasses.asdict(net.config) for key, net in networks.items()}  # type: ignore[arg-type]
     seg, pose = configs["hand_seg_net"], configs["pose_net_2d"]
+    map_size = networks["pose_net_2d"].config.map_size
     card = {
         "version": CARD_VERSION,
         "name": name,
         "hand_seg_net": {**seg, "input_size": [seg["height"], seg["width_px"]]},
         "pose_net_2d": {
             **pose,
+            "map_size": map_size,
             "crop_kind": crop["kind"],
             "crop_margin": crop["margin"],
             "background": crop.get("background", 0.0),
@@ -193,7 +198,7 @@ def export_preset(
     # The card comes last: an older one must not stand beside newer networks if this is cut short.
     (folder / "card.json").unlink(missing_ok=True)
     for key, network in networks.items():
-        export_network(network, folder / f"{key}.onnx", notes[key])
+        export_network(network, folder / f"{key}.onnx", notes[key], map_size)
     partial = folder / "card.json.partial"
     partial.write_text(json.dumps(card, indent=2) + "\n", encoding="utf-8")
     os.replace(partial, folder / "card.json")

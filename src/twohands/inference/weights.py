@@ -18,13 +18,12 @@ The card holds what inference must know; every other key (recipe, seed, accuracy
       "int8": {"hand_seg_net": {"node_relu": 21.5, ...}, ...}
     }
 
-A preset that runs the networks of another one more often has a card alone, which names the folder beside its own where
-they are::
+A preset may take networks of another one; its card names the folder beside its own where they are::
 
     {
       "version": 1,
       "name": "accurate",
-      "networks": "fast",
+      "networks": {"hand_seg_net": "fast"},
       "hand_seg_net": {..., "further_looks": [{"size": [288, 512], "mirrored": true}, ...], "doubt": [0, 1]},
       "pose_net_2d": {..., "rolls_deg": [15, -15]}
     }
@@ -91,7 +90,7 @@ class WeightsCard:
         doubt: scores of a hand between which it is in doubt.
         rolls_deg: further looks of the pose networks at a hand, as cameras see it that are rolled so far about their
             line of sight.
-        networks: name of the folder, beside the preset's own, that holds its networks; empty for its own.
+        networks: networks that the preset takes of another one -> name of that one's folder, beside its own.
         int8: networks that run in 8 bits -> name of every ReLU -> largest value after it (`inference.int8`).
     """
 
@@ -107,7 +106,7 @@ class WeightsCard:
     further_looks: tuple[PictureLook, ...] = ()
     doubt: tuple[float, float] = DOUBT
     rolls_deg: tuple[float, ...] = ()
-    networks: str = ""
+    networks: Mapping[str, str] = field(default_factory=dict)
     int8: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -123,10 +122,12 @@ class WeightsCard:
             raise CheckpointError(f"card: pose_net_2d.background must lie in 0..1, got {self.background}")
         if len(self.doubt) != 2:
             raise CheckpointError(f"card: hand_seg_net.doubt must be [low, high], got {list(self.doubt)}")
-        if Path(self.networks).name != self.networks:
-            raise CheckpointError(
-                f"card: networks must be the name of a folder beside the card's, got {self.networks!r}"
-            )
+        if set(self.networks) - set(NETWORK_NAMES):
+            unknown = ", ".join(sorted(set(self.networks) - set(NETWORK_NAMES)))
+            raise CheckpointError(f"card: networks names unknown ones, {unknown}")
+        for folder in self.networks.values():
+            if not folder or Path(folder).name != folder:
+                raise CheckpointError(f"card: networks must name folders beside the card's, got {folder!r}")
         if self.cues < 0:
             raise CheckpointError(f"card: pose_net_2d.cues must not be negative, got {self.cues}")
         if self.heatmap_decode not in HEATMAP_DECODERS:
@@ -160,7 +161,7 @@ class WeightsCard:
                 further_looks=_further_looks(seg, (height, width)),
                 doubt=tuple(float(score) for score in seg.get("doubt", DOUBT)),  # type: ignore[arg-type]
                 rolls_deg=tuple(float(angle) for angle in pose.get("rolls_deg", ())),
-                networks=str(card.get("networks", "")),
+                networks={str(name): str(folder) for name, folder in card.get("networks", {}).items()},
                 int8=_peaks(card.get("int8", {})),
             )
         except KeyError as error:
@@ -251,8 +252,8 @@ def read_card(folder: Path) -> WeightsCard:
 
 def network_files(folder: Path, card: WeightsCard) -> dict[str, Path]:
     """Where the networks of a preset's folder are, by name; the files need not exist."""
-    home = folder.parent / card.networks if card.networks else folder
-    return {name: home / f"{name}.onnx" for name in NETWORK_NAMES}
+    homes = {name: folder.parent / card.networks[name] if name in card.networks else folder for name in NETWORK_NAMES}
+    return {name: home / f"{name}.onnx" for name, home in homes.items()}
 
 
 def weights_id(folder: Path, card: WeightsCard) -> str:

@@ -15,8 +15,8 @@ from twohands.models.blocks import calm_output, conv_bn_relu, initialise, scaled
 from twohands.models.encoder_decoder import EncoderDecoder
 from twohands.skeleton import N_JOINTS
 
-MAP_SIZE = 32
-"""Rows and columns of every heatmap."""
+CROP_STEP = 32
+"""Crops have a multiple of so many rows and columns: the encoder-decoder halves them five times."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class PoseNet2DConfig:
     """cpm9: convolutional pose machine with 9x9 convolutions (the paper's); vgg: pose machine on 3x3 convolutions;
     encoder-decoder: slim residual U-shape (ours), see `models.encoder_decoder`."""
     crop_size: int = 256
-    """Rows and columns of the input crop, 256 for the pose machines, 128 for the encoder-decoder."""
+    """Rows and columns of the input crop, a multiple of `CROP_STEP`; the paper's is 256."""
     stages: int = 6
     """Stages of the pose machine; the encoder-decoder has one."""
     width: float = 1.0
@@ -48,9 +48,8 @@ class PoseNet2DConfig:
             raise InputError(f"pose_net_2d: unknown variant {self.variant!r}; cpm9, vgg or encoder-decoder")
         if self.activation not in ("linear", "softmax"):
             raise InputError(f"pose_net_2d: unknown activation {self.activation!r}; linear or softmax")
-        expected = MAP_SIZE * (4 if self.variant == "encoder-decoder" else 8)
-        if self.crop_size != expected:
-            raise InputError(f"pose_net_2d: {self.variant} needs crop_size {expected}, got {self.crop_size}")
+        if self.crop_size < CROP_STEP or self.crop_size % CROP_STEP:
+            raise InputError(f"pose_net_2d: crop_size must be a positive multiple of {CROP_STEP}, got {self.crop_size}")
         if self.stages < 1 or (self.variant == "encoder-decoder" and self.stages != 1):
             raise InputError(f"pose_net_2d: {self.variant} cannot have {self.stages} stages")
         if self.judge and self.variant != "encoder-decoder":
@@ -59,6 +58,11 @@ class PoseNet2DConfig:
             raise InputError(f"pose_net_2d: {self.variant} cannot give {self.cues} cues")
         if not (self.width > 0 and self.sigma > 0):
             raise InputError(f"pose_net_2d: width and sigma must be positive, got {self.width} and {self.sigma}")
+
+    @property
+    def map_size(self) -> int:
+        """Rows and columns of the maps: one cell for 8 pixels of the crop, for 4 of the encoder-decoder's."""
+        return self.crop_size // (4 if self.variant == "encoder-decoder" else 8)
 
 
 class PoseMachine(nn.Module):
@@ -112,12 +116,12 @@ class PoseMachine(nn.Module):
             self.refine.append(nn.Sequential(*convs, conv(c128, c128, 1), nn.Conv2d(c128, N_JOINTS, 1)))
 
     def forward(self, x: Tensor) -> list[Tensor]:
-        """(B, 3, 256, 256) -> one (B, 21, 32, 32) per stage."""
+        """(B, 3, S, S) -> one (B, 21, S / 8, S / 8) per stage."""
         if self.variant == "cpm9":
             features = self.shared(x) if len(self.refine) else x
             outputs = [self.first(x)]
         else:
-            features = self.shared(x)  # (B, 128, 32, 32)
+            features = self.shared(x)  # (B, 128, M, M)
             outputs = [self.first(features)]
         for stage in self.refine:
             outputs.append(stage(torch.cat([features, outputs[-1]], dim=1)))
@@ -156,7 +160,7 @@ class PoseNet2D(nn.Module):
             x: (B, 3, S, S) normalised composed crop, (uint8 - 128) / 256, right hands mirrored.
 
         Returns:
-            List of (B, 21 + cues, 32, 32): map values ("linear") or logits ("softmax"), then the cues.
+            List of (B, 21 + cues, M, M): map values ("linear") or logits ("softmax"), then the cues.
         """
         return self.judged(x)[0]
 
@@ -180,7 +184,7 @@ class PoseNet2D(nn.Module):
         return [self.net.decode(encoded)], hand_logit
 
     def probabilities(self, maps: Tensor) -> Tensor:
-        """Softmax over the cells of each of the joints' maps, (B, 21, 32, 32), sum 1 per joint."""
+        """Softmax over the cells of each of the joints' maps, (B, 21, M, M), sum 1 per joint."""
         return maps.flatten(2).float().softmax(dim=2).view(maps.shape)
 
     def heatmaps(self, outputs: Sequence[Tensor]) -> Tensor:
@@ -193,7 +197,7 @@ class PoseNet2D(nn.Module):
             outputs: result of `forward`.
 
         Returns:
-            (B, 21 + cues, 32, 32).
+            (B, 21 + cues, M, M).
         """
         if self.config.activation == "linear":
             return outputs[-1]

@@ -60,13 +60,13 @@ class PoseNet3D(nn.Module):
         """Canonical pose of a left-like hand.
 
         Args:
-            heatmaps: (B, 21 + cues, 32, 32), see `PoseNet2D.heatmaps`.
+            heatmaps: (B, 21 + cues, M, M), see `PoseNet2D.heatmaps`.
 
         Returns:
             (B, 21, 3) canonical joints, x right, y down, z forward, unit = hand length. The output is shifted so
             that the root is exactly 0, as the canonical frame demands; the layer itself is free.
         """
-        x = functional.interpolate(heatmaps, scale_factor=2.0, mode="bilinear", align_corners=False)  # 64x64
+        x = functional.interpolate(heatmaps, size=(64, 64), mode="bilinear", align_corners=False)
         x = self.features(x).mean(dim=(2, 3))  # (B, C)
         joints = self.regressor(x).reshape(-1, N_JOINTS, 3)
         return joints - joints[:, ROOT : ROOT + 1]

@@ -17,7 +17,7 @@ from twohands.geometry.boxes import apply_homography
 from twohands.geometry.heatmaps import decode_softargmax, decode_subpixel, encode_energy, encode_heatmaps
 from twohands.models.checkpoint import load_network, network_name
 from twohands.models.hand_seg_net import HandSegNet, HandSegNetConfig
-from twohands.models.pose_net_2d import MAP_SIZE, PoseNet2D, PoseNet2DConfig
+from twohands.models.pose_net_2d import PoseNet2D, PoseNet2DConfig
 from twohands.models.pose_net_3d import PoseNet3D, PoseNet3DConfig
 from twohands.skeleton import N_JOINTS
 from twohands.training import losses
@@ -95,10 +95,10 @@ class SegmentationStage(Stage):
 
 
 def heatmap_targets(batch: Batch, config: TrainConfig) -> Tensor:
-    """Target maps (N, 21, 32, 32) with peak 1; the spread carries the depth if the run asks for z-heatmaps."""
+    """Target maps (N, 21, M, M) with peak 1; the spread carries the depth if the run asks for z-heatmaps."""
     net = config.networks.pose_net_2d
     z = batch["canonical"][..., 2] if config.loss.z_heatmaps else None
-    return encode_heatmaps(batch["joints_px"], crop_size=net.crop_size, map_size=MAP_SIZE, sigma=net.sigma, z=z)
+    return encode_heatmaps(batch["joints_px"], crop_size=net.crop_size, map_size=net.map_size, sigma=net.sigma, z=z)
 
 
 def heatmap_losses(net: PoseNet2D, outputs: Sequence[Tensor], batch: Batch, config: TrainConfig) -> Losses:
@@ -107,7 +107,7 @@ def heatmap_losses(net: PoseNet2D, outputs: Sequence[Tensor], batch: Batch, conf
     outputs = [maps[:, :N_JOINTS] for maps in outputs]
     if config.loss.heatmap == "mse":
         return {"heatmap": losses.heatmap_mse(outputs, target, weight, config.loss.reduction)}
-    cells = batch["joints_px"] * (MAP_SIZE / net.config.crop_size)
+    cells = batch["joints_px"] * (net.config.map_size / net.config.crop_size)
     result = {"heatmap": torch.stack([losses.heatmap_cross_entropy(maps, target, weight) for maps in outputs]).sum()}
     if config.loss.soft_argmax:
         points = [decode_softargmax(net.probabilities(maps))[0] for maps in outputs]
@@ -135,7 +135,7 @@ def only_hands(batch: Batch) -> tuple[Tensor, Batch]:
 def read_out(net: PoseNet2D, heatmaps: Tensor) -> Tensor:
     """Joints (N, 21, 2) in crop pixels from `PoseNet2D.heatmaps`, read as the maps were trained."""
     decode = decode_softargmax if net.config.activation == "softmax" else decode_subpixel
-    return decode(heatmaps[:, :N_JOINTS].detach().float())[0] * (net.config.crop_size / MAP_SIZE)
+    return decode(heatmaps[:, :N_JOINTS].detach().float())[0] * (net.config.crop_size / net.config.map_size)
 
 
 def with_silent_cues(maps: Tensor, cues: int) -> Tensor:
@@ -342,7 +342,7 @@ def _fill(known: Mapping[str, nn.Module], path: Path) -> str:
     """Load a checkpoint into the network of a stage that it belongs to; returns that network's name.
 
     The pose networks may come without a judge and with fewer cues: the run's own stay fresh. HandSegNet may come from
-    pictures of another size.
+    pictures of another size, PoseNet2D from crops of another.
     """
     found = network_name(path)
     name = (
@@ -362,7 +362,9 @@ def _with_free_settings(found: Any, asked: Any) -> Any:
     if isinstance(found, HandSegNetConfig) and isinstance(asked, HandSegNetConfig):
         return dataclasses.replace(found, height=asked.height, width_px=asked.width_px)
     if isinstance(found, PoseNet2DConfig) and isinstance(asked, PoseNet2DConfig):
-        return dataclasses.replace(found, judge=found.judge or asked.judge, cues=max(found.cues, asked.cues))
+        return dataclasses.replace(
+            found, crop_size=asked.crop_size, judge=found.judge or asked.judge, cues=max(found.cues, asked.cues)
+        )
     if isinstance(found, PoseNet3DConfig) and isinstance(asked, PoseNet3DConfig):
         return dataclasses.replace(found, cues=max(found.cues, asked.cues))
     return found
