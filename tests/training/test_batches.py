@@ -9,7 +9,7 @@ import torch
 from tests.builders import make_sample, make_samples
 from tests.training.tiny import NETWORKS, tiny_run
 
-from twohands.datasets.hand_views import hand_box, hand_classes
+from twohands.datasets.hand_views import cut_at_border, hand_box, hand_classes
 from twohands.datasets.pose_targets import Segmentation, crop_matrix
 from twohands.errors import InputError
 from twohands.models.checkpoint import save_network
@@ -21,6 +21,7 @@ from twohands.training.batches import (
     Segmenter,
     batch_loader,
     pose_batch,
+    segmentation_batch,
     segmentation_of,
     validation_batches,
 )
@@ -55,6 +56,22 @@ def test_processes_share_the_pictures():
         assert all(torch.equal(torch.cat([part[name] for part in batches]), whole[name]) for name in whole)
     with pytest.raises(InputError, match="batch of 6 pictures cannot be shared evenly by 4 processes"):
         BatchDataset(SAMPLES, config, 0, 4)
+
+
+@pytest.mark.parametrize(("stage", "make"), [("hand_seg_net", segmentation_batch), ("pose_net_2d", pose_batch)])
+def test_hands_leave_the_pictures_of_every_stage(stage, make):
+    def generators() -> list[np.random.Generator]:
+        return [np.random.default_rng(seed) for seed in range(len(SAMPLES))]
+
+    plain = tiny_run(stage, augment=AugmentConfig(cut=0.0))
+    rngs = generators()
+    for rng in rngs:
+        rng.random()  # which says whether to cut
+    cut = [cut_at_border(sample, rng) for sample, rng in zip(SAMPLES, rngs, strict=True)]
+    assert any(one.image.shape != sample.image.shape for one, sample in zip(cut, SAMPLES, strict=True))
+    always = dataclasses.replace(plain, augment=AugmentConfig(cut=1.0))
+    assert equal(make(SAMPLES, always, generators()), make(cut, plain, rngs))
+    assert equal(make(SAMPLES, always, ()), make(SAMPLES, plain, ()))
 
 
 def test_random_changes_differ_between_epochs_and_seeds():

@@ -113,6 +113,7 @@ def segmentation_batch(samples: Sequence[HandSample], config: TrainConfig, rngs:
         image (B, H, W, 3) uint8, classes (B, H, W) uint8, boxes_px (B, 2, 4) float32, present (B, 2) bool.
     """
     net, augment = config.networks.hand_seg_net, config.augment
+    samples = _with_border(samples, augment.cut, rngs)
     targets = [
         segmentation_target(
             sample,
@@ -126,6 +127,13 @@ def segmentation_batch(samples: Sequence[HandSample], config: TrainConfig, rngs:
     ]
     names = ("image", "classes", "boxes_px", "present")
     return {name: torch.from_numpy(np.stack([getattr(t, name) for t in targets])) for name in names}
+
+
+def _with_border(samples: Sequence[HandSample], share: float, rngs: Rngs) -> Sequence[HandSample]:
+    """The pictures, a share of them cut so that a hand is leaving them (`AugmentConfig.cut`)."""
+    if not (rngs and share):
+        return samples
+    return [cut_at_border(one, rng) if rng.random() < share else one for one, rng in zip(samples, rngs, strict=True)]
 
 
 class Segmenter:
@@ -200,9 +208,7 @@ def pose_batch(
     """
     size = config.networks.pose_net_2d.crop_size
     judged = config.networks.pose_net_2d.judge
-    if rngs and config.augment.cut:
-        pairs = zip(samples, rngs, strict=True)
-        samples = [cut_at_border(one, rng) if rng.random() < config.augment.cut else one for one, rng in pairs]
+    samples = _with_border(samples, config.augment.cut, rngs)
     targets: list[PoseTarget] = []
     lots: list[float] = []
     shares = [config.augment.predicted if any(sample.present) else 1.0 for sample in samples]

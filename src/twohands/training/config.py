@@ -79,7 +79,7 @@ class AugmentConfig:
     """Share of pictures with hands that are cropped by HandSegNet's own masks and boxes where there are any (pose
     stages)."""
     cut: float = 0.0
-    """Share of pictures cut so that a hand is leaving them (pose stages)."""
+    """Share of pictures cut so that a hand is leaving them."""
     mirrored: float = 0.0
     """Share of crops shown mirrored, as hands of the wrong side (pose stages with a judge)."""
     united: float = 0.0
