@@ -10,7 +10,7 @@ import os
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import onnx
@@ -22,7 +22,7 @@ from torch import Tensor, nn
 from twohands.errors import CheckpointError, InputError
 from twohands.models.checkpoint import HALF, describe, load_network, read_note
 from twohands.models.hand_seg_net import HandSegNet
-from twohands.models.pose_net_2d import PoseNet2D
+from twohands.models.pose_net_2d import PoseNet2D, PoseNet2DConfig
 from twohands.models.pose_net_3d import PoseNet3D
 from twohands.skeleton import N_JOINTS
 
@@ -177,7 +177,7 @@ def export_preset(
         raise CheckpointError(f"{checkpoints['pose_net_2d']}: does not say how its crops were cut; train it again")
     configs: dict[str, dict[str, Any]] = {key: dataclasses.asdict(net.config) for key, net in networks.items()}  # type: ignore[arg-type]
     seg, pose = configs["hand_seg_net"], configs["pose_net_2d"]
-    map_size = networks["pose_net_2d"].config.map_size
+    map_size = cast(PoseNet2DConfig, networks["pose_net_2d"].config).map_size
     card = {
         "version": CARD_VERSION,
         "name": name,
