@@ -233,8 +233,8 @@ def test_in_doubt_both_the_picture_and_its_mirror_image_count():
 
 
 @pytest.mark.parametrize("decode", ["subpixel", "softargmax"])
-def test_looks_of_rolled_cameras_agree_on_true_answers_and_share_their_errors(decode):
-    """Joints that only the first look sees 3 pixels too far to the right are 1 pixel off in the mean of three."""
+def test_looks_of_rolled_cameras_agree_on_true_answers_and_outvote_an_error(decode):
+    """Joints that only the first look of three sees 3 pixels too far to the right are where the others see them."""
     sample = drawn_hands(4)
     card = make_card(heatmap_decode=decode, rolls_deg=(20.0, -35.0))
     oracle = Oracle(sample, card, z_heatmaps=decode == "subpixel")
@@ -255,7 +255,7 @@ def test_looks_of_rolled_cameras_agree_on_true_answers_and_share_their_errors(de
     pose = estimator.estimate(sample.image, sample.camera, HAND_LENGTH_M)
     assert len(crops) == 3
     for side, hand in enumerate(pose.hands):
-        np.testing.assert_allclose(hand.joints_px, sample.joints_px[side] + [1, 0], atol=error_px)
+        np.testing.assert_allclose(hand.joints_px, sample.joints_px[side], atol=error_px)
         np.testing.assert_allclose(hand.canonical, oracle.canonical[side], atol=0.01)
     middle = card.crop_size / 2
     for rolled, degrees in zip(crops[1:], card.rolls_deg, strict=True):

@@ -78,7 +78,7 @@ def test_a_folder_is_taken_before_a_shipped_preset_of_its_name(tiny, tmp_path, m
         (lambda card: card["hand_seg_net"].update(input_size=[0, 80]), "height, width"),
         (lambda card: card.update(hand_seg_net=3), "card: "),
         (lambda card: card.update(int8=["hand_seg_net"]), "card: "),
-        (lambda card: card.update(int8={"hand_net": {}}), "unknown networks, hand_net"),
+        (lambda card: card.update(int8={"hand_net": {}}), "int8 names unknown networks, hand_net"),
         (lambda card: card.update(int8={"hand_seg_net": {"relu": 0}}), "peaks larger than 0"),
         (lambda card: card["pose_net_2d"].update(cues=-1), "cues must not be negative"),
         (lambda card: card["hand_seg_net"].update(doubt=[0.5]), "doubt must be"),
@@ -87,7 +87,7 @@ def test_a_folder_is_taken_before_a_shipped_preset_of_its_name(tiny, tmp_path, m
         (lambda card: card["pose_net_2d"].update(rolls_deg=15), "card: "),
         (lambda card: card.update(networks={"hand_seg_net": "../elsewhere"}), "folders beside the card's"),
         (lambda card: card.update(networks={"hand_seg_net": ""}), "folders beside the card's"),
-        (lambda card: card.update(networks={"hand_net": "fast"}), "unknown ones, hand_net"),
+        (lambda card: card.update(networks={"hand_net": "fast"}), "networks names unknown networks, hand_net"),
         (lambda card: card.update(networks="fast"), "card: "),
     ],
 )

