@@ -1,0 +1,31 @@
+"""`inference.looks`: the place that several looks agree on."""
+
+import numpy as np
+import pytest
+
+from twohands.inference.looks import geometric_median
+
+
+@pytest.mark.parametrize(
+    ("points", "expected"),
+    [
+        ([[3, 4]], [3, 4]),
+        ([[0, 0], [4, 0]], [2, 0]),  # any place between them is as good
+        ([[0, 0], [1, 0], [10, 0]], [1, 0]),  # along a line, the median
+        ([[0, 0], [2, 0], [2, 2], [0, 2]], [1, 1]),  # where the diagonals cross
+        ([[0, 0], [4, 0], [2, 2 * np.sqrt(3)]], [2, 2 / np.sqrt(3)]),  # all sides are seen under 120 degrees
+        ([[0, 0], [4, 0.5], [-4, 0.5]], [0, 0]),  # the corner of a flat triangle
+        ([[5, 5], [5, 5], [90, 5]], [5, 5]),
+    ],
+)
+def test_geometric_median_of_places_whose_least_sum_of_distances_is_known(points, expected):
+    np.testing.assert_allclose(geometric_median(np.array(points, float)), expected, atol=0.05)
+
+
+def test_geometric_median_takes_every_joint_by_itself_and_turns_with_the_places():
+    points = np.random.default_rng(2).normal(size=(7, 3, 21, 2))
+    median = geometric_median(points)
+    assert median.shape == (3, 21, 2)
+    np.testing.assert_allclose(median[1, 4], geometric_median(points[:, 1, 4]))
+    turn = np.array([[0.6, -0.8], [0.8, 0.6]])
+    np.testing.assert_allclose(geometric_median(points @ turn.T + [7, -2]), median @ turn.T + [7, -2], atol=1e-9)
