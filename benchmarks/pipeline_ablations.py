@@ -50,7 +50,8 @@ ROLLS: dict[str, tuple[float, ...]] = {
     "none": (),
     "15 degrees": (15.0,),
     "15 and -15 degrees": (15.0, -15.0),
-    "10, -10, 20 and -20 degrees": (10.0, -10.0, 20.0, -20.0),
+    "10 and 20 degrees to either side": (10.0, -10.0, 20.0, -20.0),
+    "10, 20 and 30 degrees to either side": (10.0, -10.0, 20.0, -20.0, 30.0, -30.0),
 }
 Values = dict[str, float]
 """Numbers by the keys of `evaluation.protocols`."""
@@ -309,7 +310,7 @@ def ablations(complete: TruthfulEstimator, floating: Networks | None) -> list[Ab
         ),
         Ablation(
             "More looks at a hand",
-            "By the pose networks, as cameras see it that are rolled so far; the mean counts. The paper looks once.",
+            "By the pose networks, as cameras see it that are rolled so far; the median counts. The paper looks once.",
             {
                 name: complete
                 if rolls == card.rolls_deg

@@ -15,6 +15,7 @@ from twohands.geometry.segmentation import HandBoxes, network_input
 from twohands.inference.engine import Networks
 from twohands.inference.estimator import NO_TRUTH, HandEstimator, StageTruth
 from twohands.inference.looks import Look, joint_boxes
+from twohands.inference.sides import SEG_LIMIT, SEG_WEIGHT
 from twohands.skeleton import LEFT, RIGHT
 from twohands.types import HandPose, PinholeCamera
 
@@ -475,6 +476,30 @@ def test_what_is_no_hand_is_refused():
     estimator.locate = lambda crops, truth: (np.zeros((len(crops), 21, 32, 32)), np.full(len(crops), -12.0))
     pose = estimator.estimate(sample.image, sample.camera, HAND_LENGTH_M)
     assert not pose.left.present and not pose.right.present and not pose.masks.any()
+
+
+@pytest.mark.parametrize(("rolled", "asked", "expected"), [(9.0, 2, LEFT), (-12.0, 5, -1)])
+def test_rolled_cameras_are_asked_of_a_candidate_in_doubt(rolled, asked, expected):
+    """A first look gives the left hand -3, two more decide: with 9 each it is one, 5 on average; with -12 it is not,
+    and they are asked again whether it is a right one."""
+    sample = drawn_hands(4)
+    oracle = Oracle(sample, make_card(rolls_deg=(15.0, -15.0)))
+    estimator = judging(oracle, oracle.hand_seg_net)
+    masks, boxes = estimator.segment(sample.image)
+    look = estimator.look(sample.image, masks, boxes.boxes_px, np.array([LEFT, RIGHT]), sample.camera)
+    look = dataclasses.replace(look, hand_logits=np.array([-3.0, 12.0]))
+    calls = []
+
+    def locate(crops, truth=NO_TRUTH):
+        calls.append([(crop.side, crop.mirrored) for crop in crops])
+        return oracle.true_maps(crops), np.full(len(crops), -9.0 if crops[0].mirrored else rolled)
+
+    estimator.locate = locate
+    source, scores, _ = estimator.judge(sample.image, masks, boxes, look, sample.camera)
+    assert source.tolist() == [expected, RIGHT]
+    assert calls == [[(LEFT, False)]] * 2 + [[(RIGHT, True)]] * (asked - 2)
+    if expected == LEFT:
+        assert scores[LEFT] == pytest.approx(1 / (1 + np.exp(-(SEG_WEIGHT * SEG_LIMIT + (1 - SEG_WEIGHT) * 5.0))))
 
 
 def test_a_joint_without_line_of_sight_does_not_cost_the_hand_its_range():

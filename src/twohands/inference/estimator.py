@@ -7,6 +7,7 @@ stage is studied alone and how the error budget is drawn up.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -45,6 +46,7 @@ from twohands.inference.read_out import read_joints
 from twohands.inference.sides import (
     CANDIDATE_THRESHOLD,
     REMEMBERED_THRESHOLD,
+    SURE,
     TURN_BELOW,
     assign_sides,
     corrected_masks,
@@ -317,11 +319,13 @@ class HandEstimator:
         """
         own, turned = np.full((2, 2), np.nan)
         own[look.sides] = look.hand_logits
+        unsure = np.flatnonzero(look.hand_logits < SURE)
+        own[look.sides[unsure]] = self.hand_logits(image, masks, look.rows(unsure), camera)
         looks = {(side, side): look.rows([i]) for i, side in enumerate(look.sides)}
-        doubtful = np.flatnonzero(look.hand_logits < TURN_BELOW)
+        doubtful = np.flatnonzero(own[look.sides] < TURN_BELOW)
         if len(doubtful):
             mirrored = self.look_at([mirror_crop(look.crops[i]) for i in doubtful])
-            turned[look.sides[doubtful]] = mirrored.hand_logits
+            turned[look.sides[doubtful]] = self.hand_logits(image, masks, look.rows(doubtful), camera, mirrored)
             looks |= {(1 - side, side): mirrored.rows([i]) for i, side in enumerate(look.sides[doubtful])}
         whole = None
         if len(look.sides) == 2 and in_one_place(look.joints_px, boxes.boxes_px):
@@ -335,14 +339,55 @@ class HandEstimator:
         remaining = [looks[side, source[side]] for side in np.flatnonzero(source >= 0)]
         return source, scores, Look.joined(remaining) if remaining else look.rows([])
 
+    def hand_logits(
+        self, image: np.ndarray, masks: np.ndarray, look: Look, camera: PinholeCamera, mirrored: Look | None = None
+    ) -> np.ndarray:
+        """What PoseNet2D says of a look's crops once rolled cameras have seen them too (`card.rolls_deg`).
+
+        Args:
+            image, masks, camera: of the picture.
+            look: at B candidates.
+            mirrored: the look at the mirror images of the same crops, if these are asked for.
+
+        Returns:
+            (B,) mean log-odds that candidates are hands of their side, or in the mirror of the other one.
+        """
+        total, count = (look if mirrored is None else mirrored).hand_logits.copy(), np.ones(len(look.crops))
+        for _, rows, crops in self.crops_around(image, masks, look, camera):
+            total[rows] += self.locate(crops if mirrored is None else [mirror_crop(crop) for crop in crops])[1]
+            count[rows] += 1
+        return total / count
+
+    def crops_around(
+        self, image: np.ndarray, masks: np.ndarray, look: Look, camera: PinholeCamera
+    ) -> Iterator[tuple[np.ndarray, np.ndarray, list[HandCrop]]]:
+        """A look's hands as cameras rolled by `card.rolls_deg` see them.
+
+        Where the joints of a hand span less than `SMALLEST_BOX_PX` of the picture there is nothing more to see.
+
+        Yields:
+            For each roll that shows any: rotation (3, 3) from the camera to the rolled one; which of the look's hands
+            it shows; and their crops.
+        """
+        if not look.crops:
+            return
+        for degrees in self.card.rolls_deg:
+            roll = rotation_about_z(math.radians(degrees))
+            unrolled = image_from_rolled(camera, roll)
+            seen = apply_homography(np.linalg.inv(unrolled), np.clip(look.joints_px, 0, image.shape[1::-1]))
+            boxes_px = box_from_points(seen)
+            rows = np.flatnonzero((boxes_px[:, 2:] - boxes_px[:, :2]).min(axis=1) >= SMALLEST_BOX_PX)
+            hands = zip(boxes_px[rows], look.sides[rows], strict=True)
+            if len(rows):
+                yield roll, rows, [self.crop(image, masks, box, int(side), camera, unrolled) for box, side in hands]
+
     def look_around(
         self, image: np.ndarray, masks: np.ndarray, look: Look, canonical: np.ndarray, camera: PinholeCamera
     ) -> tuple[Look, np.ndarray]:
         """Looks at every hand again, as cameras rolled by `card.rolls_deg` see it; all looks count alike.
 
         Ours. What is learnt from rolled hands is not the same for every roll; the errors of such looks differ, and now
-        and then a look takes one finger for another, so that the joints are in the looks' median. Where the joints of a
-        hand span less than `SMALLEST_BOX_PX` there is nothing more to see.
+        and then a look takes one finger for another, so that the joints are in the looks' median.
 
         Args:
             image, masks, camera: of the picture.
@@ -353,16 +398,8 @@ class HandEstimator:
             The look with the geometric median of the joints and their mean scores, and the mean canonical pose.
         """
         looks, poses = [look], [canonical]
-        for degrees in self.card.rolls_deg:
-            roll = rotation_about_z(math.radians(degrees))
-            unrolled = image_from_rolled(camera, roll)
-            seen = apply_homography(np.linalg.inv(unrolled), np.clip(look.joints_px, 0, image.shape[1::-1]))
-            boxes_px = box_from_points(seen)
-            rows = np.flatnonzero((boxes_px[:, 2:] - boxes_px[:, :2]).min(axis=1) >= SMALLEST_BOX_PX)
-            if not len(rows):
-                break
-            hands = zip(boxes_px[rows], look.sides[rows], strict=True)
-            again = self.look_at([self.crop(image, masks, box, int(side), camera, unrolled) for box, side in hands])
+        for roll, rows, crops in self.crops_around(image, masks, look, camera):
+            again = self.look_at(crops)
             rays = unproject(again.joints_px[:, ROOT], camera)
             pose = canonical.copy()
             pose[rows] = unrolled_canonical(self.lift(again), rays, roll)

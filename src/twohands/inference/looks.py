@@ -40,7 +40,7 @@ class Look:
         """(B,) LEFT or RIGHT of every crop."""
         return np.array([crop.side for crop in self.crops], int)
 
-    def rows(self, chosen: Sequence[int]) -> Look:
+    def rows(self, chosen: Sequence[int] | np.ndarray) -> Look:
         """Some of the crops."""
         rows = np.asarray(chosen, int)
         return Look([self.crops[i] for i in rows], *(values[rows] for values in self._arrays()))

@@ -23,6 +23,9 @@ nor tested on, and on the photographs that training puts behind hands.
 """
 TURN_BELOW: Final = 0.0
 """Log-odds of PoseNet2D below which it looks at a candidate's mirror image too: 1 % of them at an egocentric view."""
+SURE: Final = 5.0
+"""Log-odds of PoseNet2D below which it looks at a candidate as rolled cameras see it too, where the weights' card names
+some; the mean counts. Whole hands in sight have about 12."""
 SEG_WEIGHT: Final = 0.7
 """Weight of HandSegNet's log-odds in the decision; PoseNet2D's have the rest. HandSegNet sees the person."""
 SEG_LIMIT: Final = 3.0
