@@ -13,6 +13,7 @@ from twohands.geometry.boxes import (
     box_iou,
     image_from_rolled,
     perspective_crop,
+    rolled_box,
     square_crop,
     warp_image,
 )
@@ -287,3 +288,15 @@ def test_pixels_of_a_rolled_camera_lead_to_those_of_the_upright_one():
     points = np.random.default_rng(0).uniform([-0.2, -0.2, 0.3], [0.2, 0.2, 0.6], (50, 3))
     found = apply_homography(image_from_rolled(OFF_CENTRE_CAMERA, roll), project(points @ roll.T, OFF_CENTRE_CAMERA))
     np.testing.assert_allclose(found, project(points, OFF_CENTRE_CAMERA), atol=1e-9)
+
+
+def test_box_before_a_rolled_camera_is_that_of_what_the_upright_picture_shows():
+    """A quarter turn about the middle (300, 200) of a picture: 40 pixels right of it become 40 below, and what lies
+    beyond the edge counts as on it."""
+    camera = PinholeCamera(500, 500, 300, 200, width=600, height=400)
+    from_rolled = image_from_rolled(camera, rotation_about_z(np.pi / 2))
+    points = np.array([[340.0, 200.0], [300.0, 170.0], [300.0, 900.0], [5.0, 5.0]])
+    valid = np.array([True, True, True, False])
+    np.testing.assert_allclose(rolled_box(points, (400, 600), from_rolled, valid), [100, 200, 330, 240])
+    upright = image_from_rolled(camera, np.eye(3))
+    np.testing.assert_allclose(rolled_box(points, (400, 600), upright), box_in_picture(points, 600, 400))

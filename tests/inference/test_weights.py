@@ -85,6 +85,7 @@ def test_a_folder_is_taken_before_a_shipped_preset_of_its_name(tiny, tmp_path, m
         (lambda card: card["hand_seg_net"].update(further_looks=[{"size": [48, 80]}]), "multiples of 32"),
         (lambda card: card["hand_seg_net"].update(further_looks=[{"mirrored": True}]), "'size' is missing"),
         (lambda card: card["pose_net_2d"].update(rolls_deg=15), "card: "),
+        (lambda card: card["pose_net_2d"].update(rolls_deg=[15, float("nan")]), "rolls_deg must be angles"),
         (lambda card: card.update(networks={"hand_seg_net": "../elsewhere"}), "folders beside the card's"),
         (lambda card: card.update(networks={"hand_seg_net": ""}), "folders beside the card's"),
         (lambda card: card.update(networks={"hand_net": "fast"}), "networks names unknown networks, hand_net"),
@@ -122,6 +123,7 @@ def test_a_card_alone_runs_the_networks_of_the_preset_that_it_names(copied):
     patient.networks = dataclasses.replace(patient.networks, pose_net_2d=lambda x: seen.append(x) or network(x))
     for hand, again in zip(shipped.estimate(image, camera).hands, patient.estimate(image, camera).hands, strict=True):
         assert hand.present and again.present
+        np.testing.assert_allclose(again.box_px, [*again.joints_px.min(axis=0), *again.joints_px.max(axis=0)])
     assert len(seen) >= 3
     (copied / "pose_net_2d.onnx").unlink()
     with pytest.raises(CheckpointError, match=r"copy: pose_net_2d\.onnx is missing"):

@@ -12,10 +12,10 @@ from twohands.datasets.transforms import MaskConfig, PhotometricConfig, jitter_c
 from twohands.errors import InputError
 from twohands.geometry.boxes import (
     apply_homography,
-    box_from_points,
     box_iou,
     image_from_rolled,
     perspective_crop,
+    rolled_box,
     square_crop,
     warp_image,
 )
@@ -173,17 +173,15 @@ def pose_target(
 
     rolled_camera = random_roll(crop.roll, rng)
     unrolled = image_from_rolled(sample.camera, rolled_camera)
-    corner = np.array([width, height], np.float64)
-    seen = apply_homography(np.linalg.inv(unrolled), np.clip(joints_px, 0, corner))
-    rolled_box = np.asarray(box_from_points(seen, known), np.float64)
-    if min(rolled_box[2:] - rolled_box[:2]) < 2:
+    seen = rolled_box(joints_px, (height, width), unrolled, known)
+    if min(seen[2:] - seen[:2]) < 2:
         return None
     if predicted is not None and box_iou(box, predicted.boxes_px[side]) > LEAST_OVERLAP:
-        rolled_box = _like(rolled_box, box, predicted.boxes_px[side], unrolled)
-        rolled_from_crop = crop_matrix(rolled_box, sample.camera, side, size, crop)
+        seen = _like(seen, box, predicted.boxes_px[side], unrolled)
+        rolled_from_crop = crop_matrix(seen, sample.camera, side, size, crop)
     else:
         predicted = None
-        rolled_from_crop = crop_matrix(rolled_box, sample.camera, side, size, crop, rng)
+        rolled_from_crop = crop_matrix(seen, sample.camera, side, size, crop, rng)
     image_from_crop = unrolled @ rolled_from_crop
     crop_joints = np.asarray(apply_homography(np.linalg.inv(image_from_crop), joints_px))
     inside = known & inside_picture(crop_joints, size, size)

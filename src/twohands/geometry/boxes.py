@@ -146,6 +146,27 @@ def image_from_rolled(camera: PinholeCamera, rolled_from_camera: NDArray[np.floa
     return intrinsics @ np.transpose(rolled_from_camera) @ np.linalg.inv(intrinsics)
 
 
+def rolled_box(
+    points_px: NDArray[np.float64],
+    image_size: tuple[int, int],
+    from_rolled: NDArray[np.float64],
+    valid: NDArray[np.bool_] | None = None,
+) -> NDArray[np.float64]:
+    """Tight box of a hand as a rolled camera sees it, of the part that the upright camera's picture shows.
+
+    Args:
+        points_px: (..., N, 2) pixels of the picture; those beyond its edge count as on it.
+        image_size: (H, W) of the picture.
+        from_rolled: (3, 3) homography, `image_from_rolled`.
+        valid: (..., N) bool, which points count; None for all.
+
+    Returns:
+        (..., 4) u0, v0, u1, v1 in pixels of the rolled camera; NaN where no point is left.
+    """
+    inside = np.minimum(np.maximum(points_px, 0), np.array(image_size[::-1], np.float64))
+    return np.asarray(box_from_points(apply_homography(np.linalg.inv(from_rolled), inside), valid), np.float64)
+
+
 def apply_homography(homography: Array, points: Array) -> Array:
     """Map points through a homography.
 

@@ -17,10 +17,10 @@ import numpy as np
 from twohands.errors import InputError
 from twohands.geometry.boxes import (
     apply_homography,
-    box_from_points,
     box_iou,
     image_from_rolled,
     perspective_crop,
+    rolled_box,
     square_crop,
 )
 from twohands.geometry.camera import unproject
@@ -41,7 +41,7 @@ from twohands.geometry.segmentation import (
     unmirrored,
 )
 from twohands.inference.engine import Networks, load_networks
-from twohands.inference.looks import SMALLEST_BOX_PX, Look, geometric_median, joint_boxes, mirror_crop
+from twohands.inference.looks import Look, geometric_median, in_sight, joint_boxes, mirror_crop
 from twohands.inference.read_out import read_joints
 from twohands.inference.sides import (
     CANDIDATE_THRESHOLD,
@@ -171,6 +171,8 @@ class HandEstimator:
             estimated = truth.heatmaps is None and truth.joints_px is None and truth.canonical is None
             if estimated:
                 look, canonical = self.look_around(image, masks, look, canonical, camera)
+                if truth.boxes_px is None:
+                    boxes.boxes_px[sides] = joint_boxes(look.joints_px, image.shape[:2], boxes.boxes_px[sides])
             pose = self.place(canonical, look.joints_px, look.joint_scores, camera, lengths_m)
             if estimated:
                 share = self.ray_share * look.joint_scores
@@ -262,7 +264,7 @@ class HandEstimator:
         if self.card.judge and truth.present is None:
             source, scores, look = self.judge(image, masks, boxes, look, camera, remembered)
             corrected = corrected_masks(masks, source, boxes.boxes_px) if truth.masks is None else masks
-            again = np.full(len(look.sides), corrected is not masks)
+            again = (source[look.sides] != look.sides) | (corrected is not masks)
             boxes_px = np.where((source >= 0)[:, None], boxes.boxes_px[source], np.nan)
             masks, boxes = corrected, HandBoxes(boxes_px, source >= 0, scores)
             if not len(look.sides):
@@ -352,34 +354,32 @@ class HandEstimator:
         Returns:
             (B,) mean log-odds that candidates are hands of their side, or in the mirror of the other one.
         """
-        total, count = (look if mirrored is None else mirrored).hand_logits.copy(), np.ones(len(look.crops))
-        for _, rows, crops in self.crops_around(image, masks, look, camera):
-            total[rows] += self.locate(crops if mirrored is None else [mirror_crop(crop) for crop in crops])[1]
-            count[rows] += 1
-        return total / count
+        if mirrored is not None:
+            look = replace(look, joints_px=mirrored.joints_px, hand_logits=mirrored.hand_logits)
+        rows = np.flatnonzero(in_sight(look.joints_px, image.shape[:2]))
+        logits = [look.hand_logits[rows]]
+        for _, crops in self.crops_around(image, masks, look.rows(rows), camera):
+            logits.append(self.locate(crops if mirrored is None else [mirror_crop(crop) for crop in crops])[1])
+        mean = look.hand_logits.copy()
+        mean[rows] = np.mean(logits, axis=0)
+        return mean
 
     def crops_around(
         self, image: np.ndarray, masks: np.ndarray, look: Look, camera: PinholeCamera
-    ) -> Iterator[tuple[np.ndarray, np.ndarray, list[HandCrop]]]:
-        """A look's hands as cameras rolled by `card.rolls_deg` see them.
-
-        Where the joints of a hand span less than `SMALLEST_BOX_PX` of the picture there is nothing more to see.
+    ) -> Iterator[tuple[np.ndarray, list[HandCrop]]]:
+        """A look's hands, all of them `in_sight`, as cameras rolled by `card.rolls_deg` see them.
 
         Yields:
-            For each roll that shows any: rotation (3, 3) from the camera to the rolled one; which of the look's hands
-            it shows; and their crops.
+            For each roll the rotation (3, 3) from the camera to the rolled one, and the crops.
         """
         if not look.crops:
             return
         for degrees in self.card.rolls_deg:
             roll = rotation_about_z(math.radians(degrees))
             unrolled = image_from_rolled(camera, roll)
-            seen = apply_homography(np.linalg.inv(unrolled), np.clip(look.joints_px, 0, image.shape[1::-1]))
-            boxes_px = box_from_points(seen)
-            rows = np.flatnonzero((boxes_px[:, 2:] - boxes_px[:, :2]).min(axis=1) >= SMALLEST_BOX_PX)
-            hands = zip(boxes_px[rows], look.sides[rows], strict=True)
-            if len(rows):
-                yield roll, rows, [self.crop(image, masks, box, int(side), camera, unrolled) for box, side in hands]
+            boxes_px = rolled_box(look.joints_px, image.shape[:2], unrolled)
+            hands = zip(boxes_px, look.sides, strict=True)
+            yield roll, [self.crop(image, masks, box, int(side), camera, unrolled) for box, side in hands]
 
     def look_around(
         self, image: np.ndarray, masks: np.ndarray, look: Look, canonical: np.ndarray, camera: PinholeCamera
@@ -397,17 +397,23 @@ class HandEstimator:
         Returns:
             The look with the geometric median of the joints and their mean scores, and the mean canonical pose.
         """
-        looks, poses = [look], [canonical]
-        for roll, rows, crops in self.crops_around(image, masks, look, camera):
+        if not self.card.rolls_deg:
+            return look, canonical
+        rows = np.flatnonzero(in_sight(look.joints_px, image.shape[:2]))
+        first = look.rows(rows)
+        first_rays = unproject(first.joints_px[:, ROOT], camera)
+        looks, poses = [first], [canonical[rows]]
+        for roll, crops in self.crops_around(image, masks, first, camera):
             again = self.look_at(crops)
             rays = unproject(again.joints_px[:, ROOT], camera)
-            pose = canonical.copy()
-            pose[rows] = unrolled_canonical(self.lift(again), rays, roll)
-            looks.append(look.replaced(rows, again))
-            poses.append(pose)
-        joints_px = geometric_median(np.array([each.joints_px for each in looks]))
-        scores = np.mean([each.joint_scores for each in looks], axis=0)
-        return replace(look, joints_px=joints_px, joint_scores=scores), np.mean(poses, axis=0)
+            rays = np.where(np.isfinite(rays), rays, first_rays)  # beside the picture a lens may have none
+            looks.append(again)
+            poses.append(unrolled_canonical(self.lift(again), rays, roll))
+        joints_px, joint_scores, canonical = look.joints_px.copy(), look.joint_scores.copy(), canonical.copy()
+        joints_px[rows] = geometric_median(np.array([each.joints_px for each in looks]))
+        joint_scores[rows] = np.mean([each.joint_scores for each in looks], axis=0)
+        canonical[rows] = np.mean(poses, axis=0)
+        return replace(look, joints_px=joints_px, joint_scores=joint_scores), canonical
 
     def crop(
         self,
