@@ -15,7 +15,6 @@ from twohands.geometry.segmentation import HandBoxes, network_input
 from twohands.inference.engine import Networks
 from twohands.inference.estimator import NO_TRUTH, HandEstimator, StageTruth
 from twohands.inference.looks import Look, joint_boxes
-from twohands.inference.sides import SEG_WEIGHT, TURN_COST
 from twohands.skeleton import LEFT, RIGHT, ROOT
 from twohands.types import HandPose, PinholeCamera
 
@@ -484,44 +483,6 @@ def looked(estimator, sample, masks, boxes_px, sides, joints_px, hand_logits):
     crops = [estimator.crop(sample.image, masks, box, side, sample.camera) for box, side in hands]
     heatmaps, scores = np.zeros((len(crops), 21, 32, 32)), np.ones((len(crops), 21))
     return Look(crops, heatmaps, np.array(joints_px), scores, np.array(hand_logits))
-
-
-def test_log_odds_of_rolled_looks_are_averaged_where_a_hand_is_in_sight():
-    sample = drawn_hands(4)
-    estimator = judging(Oracle(sample, make_card(rolls_deg=(15.0, -15.0))), UNUSED.hand_seg_net)
-    masks, boxes_px = hand_masks(sample), true_boxes(sample)
-    outside = [np.full((21, 2), -50.0), sample.joints_px[RIGHT]]
-    look = looked(estimator, sample, masks, boxes_px, [LEFT, RIGHT], outside, [-1.0, 0.0])
-    mirrored = dataclasses.replace(look, joints_px=sample.joints_px, hand_logits=np.array([1.0, -4.0]))
-    answers, asked = iter([[3.0], [6.0], [4.0, -2.0], [7.0, 0.0]]), []
-
-    def locate(crops):
-        asked.append([(crop.side, crop.mirrored) for crop in crops])
-        return None, np.array(next(answers))
-
-    estimator.locate = locate
-    seen = sample.image, masks, look, sample.camera
-    np.testing.assert_allclose(estimator.hand_logits(*seen), [-1, 3])
-    np.testing.assert_allclose(estimator.hand_logits(*seen, mirrored), [4, -2])
-    assert asked == 2 * [[(RIGHT, True)]] + 2 * [[(RIGHT, True), (LEFT, False)]]
-    np.testing.assert_allclose(look.hand_logits, [-1, 0])
-
-
-@pytest.mark.parametrize(("as_right", "as_left", "source"), [(12.0, -12.0, [-1, 1]), (-12.0, 12.0, [1, -1])])
-def test_rolled_cameras_decide_whose_hand_a_candidate_in_doubt_is(as_right, as_left, source):
-    """A left hand is found as a right one. At first sight PoseNet2D takes it for neither; two more looks outvote it."""
-    sample = drawn_hands(4, present=(True, False))
-    estimator = judging(Oracle(sample, make_card(rolls_deg=(15.0, -15.0))), UNUSED.hand_seg_net)
-    masks, box = 2 * hand_masks(sample), true_boxes(sample)[LEFT]
-    boxes = HandBoxes(np.array([np.full(4, np.nan), box]), np.array([False, True]), np.array([0.0, 0.95]))
-    look = looked(estimator, sample, masks, [box], [RIGHT], sample.joints_px[:1], [-5.0])
-    estimator.look_at = lambda crops: dataclasses.replace(look, crops=crops)
-    estimator.locate = lambda crops: (None, np.array([as_right if crop.side == RIGHT else as_left for crop in crops]))
-    found, scores, left = estimator.judge(sample.image, masks, boxes, look, sample.camera)
-    assert found.tolist() == source
-    assert left.sides.tolist() == np.flatnonzero(np.array(source) >= 0).tolist()
-    certain = SEG_WEIGHT * np.log(0.95 / 0.05) + (1 - SEG_WEIGHT) * (-5 + 12 + 12) / 3 - TURN_COST * (source[0] == 1)
-    assert scores[left.sides[0]] == pytest.approx(1 / (1 + np.exp(-certain)))
 
 
 def test_a_joint_without_line_of_sight_does_not_cost_the_hand_its_range():

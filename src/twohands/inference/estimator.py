@@ -7,7 +7,6 @@ stage is studied alone and how the error budget is drawn up.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -46,7 +45,6 @@ from twohands.inference.read_out import read_joints
 from twohands.inference.sides import (
     CANDIDATE_THRESHOLD,
     REMEMBERED_THRESHOLD,
-    SURE,
     TURN_BELOW,
     assign_sides,
     corrected_masks,
@@ -321,13 +319,11 @@ class HandEstimator:
         """
         own, turned = np.full((2, 2), np.nan)
         own[look.sides] = look.hand_logits
-        unsure = np.flatnonzero(look.hand_logits < SURE)
-        own[look.sides[unsure]] = self.hand_logits(image, masks, look.rows(unsure), camera)
         looks = {(side, side): look.rows([i]) for i, side in enumerate(look.sides)}
-        doubtful = np.flatnonzero(own[look.sides] < TURN_BELOW)
+        doubtful = np.flatnonzero(look.hand_logits < TURN_BELOW)
         if len(doubtful):
             mirrored = self.look_at([mirror_crop(look.crops[i]) for i in doubtful])
-            turned[look.sides[doubtful]] = self.hand_logits(image, masks, look.rows(doubtful), camera, mirrored)
+            turned[look.sides[doubtful]] = mirrored.hand_logits
             looks |= {(1 - side, side): mirrored.rows([i]) for i, side in enumerate(look.sides[doubtful])}
         whole = None
         if len(look.sides) == 2 and in_one_place(look.joints_px, boxes.boxes_px):
@@ -340,46 +336,6 @@ class HandEstimator:
         scores = np.where(source >= 0, 1 / (1 + np.exp(-np.nan_to_num(answer))), boxes.scores)
         remaining = [looks[side, source[side]] for side in np.flatnonzero(source >= 0)]
         return source, scores, Look.joined(remaining) if remaining else look.rows([])
-
-    def hand_logits(
-        self, image: np.ndarray, masks: np.ndarray, look: Look, camera: PinholeCamera, mirrored: Look | None = None
-    ) -> np.ndarray:
-        """What PoseNet2D says of a look's crops once rolled cameras have seen them too (`card.rolls_deg`).
-
-        Args:
-            image, masks, camera: of the picture.
-            look: at B candidates.
-            mirrored: the look at the mirror images of the same crops, if these are asked for.
-
-        Returns:
-            (B,) mean log-odds that candidates are hands of their side, or in the mirror of the other one.
-        """
-        if mirrored is not None:
-            look = replace(look, joints_px=mirrored.joints_px, hand_logits=mirrored.hand_logits)
-        rows = np.flatnonzero(in_sight(look.joints_px, image.shape[:2]))
-        logits = [look.hand_logits[rows]]
-        for _, crops in self.crops_around(image, masks, look.rows(rows), camera):
-            logits.append(self.locate(crops if mirrored is None else [mirror_crop(crop) for crop in crops])[1])
-        mean = look.hand_logits.copy()
-        mean[rows] = np.mean(logits, axis=0)
-        return mean
-
-    def crops_around(
-        self, image: np.ndarray, masks: np.ndarray, look: Look, camera: PinholeCamera
-    ) -> Iterator[tuple[np.ndarray, list[HandCrop]]]:
-        """A look's hands, all of them `in_sight`, as cameras rolled by `card.rolls_deg` see them.
-
-        Yields:
-            For each roll the rotation (3, 3) from the camera to the rolled one, and the crops.
-        """
-        if not look.crops:
-            return
-        for degrees in self.card.rolls_deg:
-            roll = rotation_about_z(math.radians(degrees))
-            unrolled = image_from_rolled(camera, roll)
-            boxes_px = rolled_box(look.joints_px, image.shape[:2], unrolled)
-            hands = zip(boxes_px, look.sides, strict=True)
-            yield roll, [self.crop(image, masks, box, int(side), camera, unrolled) for box, side in hands]
 
     def look_around(
         self, image: np.ndarray, masks: np.ndarray, look: Look, canonical: np.ndarray, camera: PinholeCamera
@@ -397,14 +353,17 @@ class HandEstimator:
         Returns:
             The look with the geometric median of the joints and their mean scores, and the mean canonical pose.
         """
-        if not self.card.rolls_deg:
-            return look, canonical
         rows = np.flatnonzero(in_sight(look.joints_px, image.shape[:2]))
+        if not (self.card.rolls_deg and len(rows)):
+            return look, canonical
         first = look.rows(rows)
         first_rays = unproject(first.joints_px[:, ROOT], camera)
         looks, poses = [first], [canonical[rows]]
-        for roll, crops in self.crops_around(image, masks, first, camera):
-            again = self.look_at(crops)
+        for degrees in self.card.rolls_deg:
+            roll = rotation_about_z(math.radians(degrees))
+            unrolled = image_from_rolled(camera, roll)
+            hands = zip(rolled_box(first.joints_px, image.shape[:2], unrolled), first.sides, strict=True)
+            again = self.look_at([self.crop(image, masks, box, int(side), camera, unrolled) for box, side in hands])
             rays = unproject(again.joints_px[:, ROOT], camera)
             rays = np.where(np.isfinite(rays), rays, first_rays)  # beside the picture a lens may have none
             looks.append(again)

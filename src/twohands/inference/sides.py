@@ -22,17 +22,13 @@ This and the next four were chosen together, with the shipped weights, on genera
 nor tested on, and on the photographs that training puts behind hands.
 """
 TURN_BELOW: Final = 0.0
-"""Log-odds of PoseNet2D, the mean of its looks, below which it looks at a candidate's mirror image too: 1 % of them at
-an egocentric view."""
+"""Log-odds of PoseNet2D below which it looks at a candidate's mirror image too: 1 % of them at an egocentric view."""
 SEG_WEIGHT: Final = 0.7
 """Weight of HandSegNet's log-odds in the decision; PoseNet2D's have the rest. HandSegNet sees the person."""
 SEG_LIMIT: Final = 3.0
 """HandSegNet's log-odds are limited to this size: it may be sure and wrong."""
 TURN_COST: Final = 1.0
 """Log-odds taken off where a hand is on the other side than HandSegNet says: most often it is right."""
-SURE: Final = 5.0
-"""Log-odds of PoseNet2D below which it looks at a candidate as rolled cameras see it too, where the weights' card names
-some; the mean counts. Whole hands in sight have about 12."""
 ONE_PLACE: Final = 0.1
 """Two candidates whose wrists and root joints are nearer to each other than this share of the larger box are in one
 place."""

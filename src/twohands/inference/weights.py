@@ -88,8 +88,8 @@ class WeightsCard:
         cues: number of maps that PoseNet2D gives beside those of the joints, for PoseNet3D.
         further_looks: of HandSegNet at a picture, where it is in doubt.
         doubt: scores of a hand between which it is in doubt.
-        rolls_deg: further looks of the pose networks at a hand, or at what may be one, as cameras see it that are
-            rolled so far about their line of sight.
+        rolls_deg: further looks of the pose networks at a hand, as cameras see it that are rolled so far about their
+            line of sight.
         networks: networks that the preset takes of another one -> name of that one's folder, beside its own.
         int8: networks that run in 8 bits -> name of every ReLU -> largest value after it (`inference.int8`).
     """
