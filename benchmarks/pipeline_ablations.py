@@ -45,7 +45,7 @@ from twohands.types import GlobalPose, HandCrop, HandSample, PinholeCamera, TwoH
 
 Estimate = Callable[[HandSample], TwoHandPose]
 ALWAYS = (-math.inf, math.inf)
-SIZES = (PictureLook((160, 288), mirrored=True), PictureLook((288, 512)))
+SIZES = (PictureLook((224, 384), mirrored=True), PictureLook((320, 544)), PictureLook((320, 544), mirrored=True))
 ROLLS: dict[str, tuple[float, ...]] = {
     "none": (),
     "15 degrees": (15.0,),
