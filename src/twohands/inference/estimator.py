@@ -167,7 +167,7 @@ class HandEstimator:
             canonical = self.lift(look, truth)
             lengths_m = np.broadcast_to(hand_length_m, (2,))[sides]
             estimated = truth.heatmaps is None and truth.joints_px is None and truth.canonical is None
-            if estimated:
+            if estimated and self.card.rolls_deg:
                 look, canonical = self.look_around(image, masks, look, canonical, camera)
                 if truth.boxes_px is None:
                     boxes.boxes_px[sides] = joint_boxes(look.joints_px, image.shape[:2], boxes.boxes_px[sides])
@@ -354,7 +354,7 @@ class HandEstimator:
             The look with the geometric median of the joints and their mean scores, and the mean canonical pose.
         """
         rows = np.flatnonzero(in_sight(look.joints_px, image.shape[:2]))
-        if not (self.card.rolls_deg and len(rows)):
+        if not len(rows):
             return look, canonical
         first = look.rows(rows)
         first_rays = unproject(first.joints_px[:, ROOT], camera)
