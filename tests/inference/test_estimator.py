@@ -419,6 +419,30 @@ def test_swapped_hands_are_set_right_by_the_judge():
         np.testing.assert_allclose(hand.joints_m, sample.joints_m[side], atol=5e-3)
 
 
+def test_hands_that_the_judge_swaps_are_cut_anew_from_true_masks_too():
+    """Named case: with true masks, which stay, swapped hands kept the crops in which they were dimmed."""
+    sample = drawn_hands(0)
+    oracle = Oracle(sample, make_card())
+
+    def swapped(batch):
+        logits, energies = oracle.hand_seg_net(batch)
+        return logits, energies[:, ::-1]
+
+    estimator, looks = judging(oracle, swapped), []
+    look = estimator.look
+
+    def noted(*where):
+        looks.append(look(*where))
+        return looks[-1]
+
+    estimator.look = noted
+    pose = estimator.estimate(sample.image, sample.camera, HAND_LENGTH_M, StageTruth(masks=hand_masks(sample)))
+    np.testing.assert_array_equal(pose.masks, hand_masks(sample))
+    assert [seen.sides.tolist() for seen in looks] == 2 * [[LEFT, RIGHT]]
+    for before, after in zip(looks[0].crops[::-1], looks[1].crops, strict=True):
+        assert after.image.max() > before.image.max()
+
+
 def striped(oracle):
     """A HandSegNet that finds the left hand as a right one too, and calls every other column of it so."""
 
@@ -477,14 +501,6 @@ def test_what_is_no_hand_is_refused():
     assert not pose.left.present and not pose.right.present and not pose.masks.any()
 
 
-def looked(estimator, sample, masks, boxes_px, sides, joints_px, hand_logits):
-    """A look at the boxes (B, 4) of an estimator that was told what PoseNet2D says there."""
-    hands = zip(boxes_px, sides, strict=True)
-    crops = [estimator.crop(sample.image, masks, box, side, sample.camera) for box, side in hands]
-    heatmaps, scores = np.zeros((len(crops), 21, 32, 32)), np.ones((len(crops), 21))
-    return Look(crops, heatmaps, np.array(joints_px), scores, np.array(hand_logits))
-
-
 def test_a_joint_without_line_of_sight_does_not_cost_the_hand_its_range():
     """Named case: behind a barrel lens a fingertip found far outside the picture made a hand's range unknown."""
     sample = drawn_hands(0)
@@ -505,14 +521,17 @@ def test_a_rolled_look_without_line_of_sight_does_not_cost_the_hand_its_pose():
     hand's pose NaN."""
     sample = drawn_hands(4)
     camera = dataclasses.replace(sample.camera, distortion=(-0.28, 0.0, 0.0, 0.0))
-    estimator = HandEstimator(UNUSED, make_card(rolls_deg=(20.0, -20.0)))
-    look = looked(estimator, sample, hand_masks(sample), true_boxes(sample), [LEFT, RIGHT], sample.joints_px, [9, 9])
+    card = make_card(rolls_deg=(20.0, -20.0))
+    estimator = HandEstimator(Oracle(sample, card).estimator.networks, card)
+    masks, boxes = estimator.segment(sample.image)
+    look = estimator.look(sample.image, masks, boxes.boxes_px, np.array([LEFT, RIGHT]), sample.camera)
+    look = dataclasses.replace(look, joint_scores=np.ones((2, 21)))
     canonical = canonical_from_camera(sample.joints_m).joints
-    away = sample.joints_px.copy()
+    away = look.joints_px.copy()
     away[LEFT, ROOT] = [10 * camera.width, camera.cy]
     faint = np.full((2, 21), 0.4)
     estimator.look_at = lambda crops: dataclasses.replace(look, crops=crops, joints_px=away, joint_scores=faint)
     estimator.lift = lambda seen: canonical
-    again, poses = estimator.look_around(sample.image, hand_masks(sample), look, canonical, camera)
+    again, poses = estimator.look_around(sample.image, masks, look, canonical, camera)
     assert np.isfinite(poses).all() and np.isfinite(again.joints_px).all()
     np.testing.assert_allclose(again.joint_scores, (1 + 0.4 + 0.4) / 3)

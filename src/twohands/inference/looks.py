@@ -99,11 +99,14 @@ def joint_boxes(joints_px: np.ndarray, image_size: tuple[int, int], otherwise_px
     Returns:
         (B, 4) u0, v0, u1, v1.
     """
-    boxes_px = box_in_picture(joints_px, image_size[1], image_size[0])
-    return np.where(in_sight(joints_px, image_size)[:, None], boxes_px, otherwise_px)
+    boxes_px = np.asarray(box_in_picture(joints_px, image_size[1], image_size[0]))
+    return np.where(_large(boxes_px)[:, None], boxes_px, otherwise_px)
 
 
 def in_sight(joints_px: np.ndarray, image_size: tuple[int, int]) -> np.ndarray:
     """(B,) bool: whether the joints (B, 21, 2) of a hand span `SMALLEST_BOX_PX` or more of a picture of size (H, W)."""
-    boxes_px = np.asarray(box_in_picture(joints_px, image_size[1], image_size[0]))
+    return _large(np.asarray(box_in_picture(joints_px, image_size[1], image_size[0])))
+
+
+def _large(boxes_px: np.ndarray) -> np.ndarray:
     return (boxes_px[:, 2:] - boxes_px[:, :2]).min(axis=1) >= SMALLEST_BOX_PX
