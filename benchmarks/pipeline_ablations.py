@@ -40,12 +40,11 @@ from twohands.inference.engine import Networks, load_networks
 from twohands.inference.estimator import NO_TRUTH, RAY_SHARE, SECOND_LOOK_IOU, HandEstimator, StageTruth
 from twohands.inference.ground_truth import HeatmapTargets, TruthfulEstimator
 from twohands.inference.smoothing_sweep import smoothing_sweep
-from twohands.inference.weights import DEFAULT_PRESET, PictureLook, WeightsCard, preset_folder, weights_id
+from twohands.inference.weights import DEFAULT_PRESET, PictureLook, WeightsCard, preset_folder, read_card, weights_id
 from twohands.types import GlobalPose, HandCrop, HandSample, PinholeCamera, TwoHandPose
 
 Estimate = Callable[[HandSample], TwoHandPose]
 ALWAYS = (-math.inf, math.inf)
-SIZES = (PictureLook((224, 384), mirrored=True), PictureLook((320, 544)), PictureLook((320, 544), mirrored=True))
 ROLLS: dict[str, tuple[float, ...]] = {
     "none": (),
     "15 degrees": (15.0,),
@@ -255,6 +254,7 @@ def ablations(complete: TruthfulEstimator, floating: Networks | None) -> list[Ab
         floating: its networks in floating point, where they are shipped in 8 bits.
     """
     networks, card = complete.estimator.networks, complete.estimator.card
+    accurate_looks = read_card(preset_folder("accurate")).further_looks
 
     def read_by(decoder: str) -> Estimate:
         return complete if decoder == card.heatmap_decode else TruthfulEstimator(OtherReadOut(networks, card, decoder))
@@ -303,8 +303,8 @@ def ablations(complete: TruthfulEstimator, floating: Networks | None) -> list[Ab
                 "never": TruthfulEstimator(looking(networks, card, further_looks=())),
                 f"a score between {card.doubt[0]:g} and {card.doubt[1]:g}: {in_words(card.further_looks)}": complete,
                 "always: the same": TruthfulEstimator(looking(networks, card, doubt=ALWAYS)),
-                f"always: {in_words(SIZES)}": TruthfulEstimator(
-                    looking(networks, card, doubt=ALWAYS, further_looks=SIZES)
+                f"always: {in_words(accurate_looks)}": TruthfulEstimator(
+                    looking(networks, card, doubt=ALWAYS, further_looks=accurate_looks)
                 ),
             },
         ),
