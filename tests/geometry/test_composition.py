@@ -52,6 +52,15 @@ def test_all_of_one_hand_is_the_plain_crop():
     )
 
 
+def test_what_is_perhaps_a_hands_is_shown_like_the_hand():
+    perhaps = np.where(MASKS > 0, MASKS + 2, 0).astype(np.uint8)
+    for side in (LEFT, RIGHT):
+        shown, plain = (
+            compose_hand_input(IMAGE, masks, IDENTITY, side, 4, background=0.25) for masks in (perhaps, MASKS)
+        )
+        np.testing.assert_array_equal(shown, plain)
+
+
 def test_a_dimmed_background_keeps_what_the_mask_missed():
     plain = compose_hand_input(IMAGE, MASKS, IDENTITY, LEFT, 4)
     dimmed = compose_hand_input(IMAGE, MASKS, IDENTITY, LEFT, 4, background=0.25)

@@ -9,6 +9,7 @@ from twohands.geometry.heatmaps import encode_energy
 from twohands.geometry.segmentation import (
     PRESENCE_THRESHOLD,
     boxes_from_energy,
+    certain_masks,
     energy_box,
     hand_scores,
     letterbox,
@@ -201,11 +202,22 @@ def test_the_mean_of_looks_has_the_resolution_of_the_finest():
 
 def test_masks_are_the_largest_logit():
     logits = np.zeros((3, 4, 6), np.float32)
+    logits[0] = 2.0
     logits[1, :, :2] = 5.0
     logits[2, :, 4:] = 5.0
     np.testing.assert_array_equal(masks_from_logits(logits, (4, 6), BOTH), [[1, 1, 0, 0, 2, 2]] * 4)
     enlarged = masks_from_logits(logits, (40, 60), BOTH)
     assert (enlarged[:, :15] == 1).all() and (enlarged[:, 45:] == 2).all() and (enlarged[:, 27:33] == 0).all()
+
+
+def test_pixels_that_the_background_narrowly_wins_are_perhaps_a_hands():
+    logits = np.zeros((3, 1, 7))
+    logits[1, 0] = [0.1, 0.0, -0.9, -1.0, -0.9, -3.0, -3.0]  # left; the background has 0
+    logits[2, 0] = [-3.0, -3.0, -3.0, -3.0, -0.8, -0.5, 2.0]  # right
+    masks = masks_from_logits(logits, (1, 7), BOTH)
+    np.testing.assert_array_equal(masks, [[1, 3, 3, 0, 4, 4, 2]])
+    np.testing.assert_array_equal(certain_masks(masks), [[1, 0, 0, 0, 0, 0, 2]])
+    np.testing.assert_array_equal(masks_from_logits(logits, (1, 7), np.array([True, False])), [[1, 3, 3, 0, 3, 0, 0]])
 
 
 def test_network_input_is_normalised_as_in_training():

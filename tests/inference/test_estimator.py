@@ -349,6 +349,23 @@ def test_a_projection_that_cannot_be_solved_is_not_valid_and_keeps_the_2d_result
     assert pose.right.valid
 
 
+def test_what_is_perhaps_a_hands_is_shown_to_the_networks_and_not_reported():
+    sample = drawn_hands(5)
+    oracle = Oracle(sample, make_card())
+
+    def doubting_the_left_hand(batch):
+        seg_logits, energy_logits = oracle.hand_seg_net(batch)
+        seg_logits[:, 0] = np.maximum(seg_logits[:, 0], seg_logits[:, 1] + 0.5)
+        return seg_logits, energy_logits
+
+    sure = HandEstimator(oracle.estimator.networks, make_card()).estimate(sample.image, sample.camera)
+    networks = dataclasses.replace(oracle.estimator.networks, hand_seg_net=doubting_the_left_hand)
+    found = HandEstimator(networks, make_card()).estimate(sample.image, sample.camera)
+    np.testing.assert_allclose(found.left.joints_m, sure.left.joints_m)  # the oracle knows nothing but the true crops
+    assert sure.masks is not None and set(np.unique(sure.masks)) == {0, 1, 2}
+    np.testing.assert_array_equal(found.masks, np.where(sure.masks == 2, 2, 0))
+
+
 def test_inputs_are_left_as_they_were():
     sample = drawn_hands(0)
     truth = full_truth(sample)

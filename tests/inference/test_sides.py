@@ -117,6 +117,20 @@ def test_masks_follow_the_answer(source, boxes_px, expected):
     assert (masks is MASKS) == (source == [0, 1])
 
 
+@pytest.mark.parametrize(
+    ("source", "boxes_px", "expected"),
+    [
+        ([0, 1], MEETING, [3, 1, 2, 4]),
+        ([0, -1], MEETING, [3, 1, 1, 3]),
+        ([0, -1], APART, [3, 1, 0, 0]),
+        ([1, 0], APART, [4, 2, 1, 3]),
+    ],
+)
+def test_what_is_perhaps_a_hands_goes_with_the_hand(source, boxes_px, expected):
+    masks = corrected_masks(np.array([[3, 1, 2, 4]], np.uint8), np.array(source), boxes_px)
+    assert masks[0].tolist() == expected
+
+
 def test_masks_of_a_lone_candidate():
     alone, box_px = np.array([[0, 1, 1, 0]], np.uint8), np.array([[1, 0, 3, 1], [NO] * 4])
     assert corrected_masks(alone, np.array([0, -1]), box_px) is alone  # nothing to look at again

@@ -14,7 +14,7 @@ LEAST_INSIDE = 0.2
 """A hand of whose box a change has left less than this in the picture counts as absent."""
 MOST_CUT = 0.4
 """Largest share of a picture's width and height that `cut_at_border` takes away."""
-KEPT = (-0.25, 1.0)
+KEPT = (-0.2, 0.7)
 """Range of the share of a hand's box that it leaves in the picture; below 0 only the arm may be left."""
 
 

@@ -73,7 +73,7 @@ class Segmentation:
     """What HandSegNet answered for one picture.
 
     Attributes:
-        classes: (H, W) uint8, 0 background, 1 left, 2 right.
+        classes: (H, W) uint8, 0 background, 1 left, 2 right, 3 perhaps left, 4 perhaps right.
         boxes_px: (2, 4) u0, v0, u1, v1 in pixels of the picture; NaN for a hand that was not found.
     """
 

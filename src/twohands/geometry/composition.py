@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twohands.geometry.boxes import warp_image
+from twohands.geometry.segmentation import PERHAPS
 from twohands.types import Array
 
 OTHER_HAND_WEIGHT = 0.5
@@ -24,7 +25,8 @@ def compose_hand_input(
 
     Args:
         image: (H, W, 3) uint8 RGB.
-        masks: (h, w) uint8, 0 background, 1 left, 2 right, over the same view; its resolution may differ.
+        masks: (h, w) uint8, 0 background, 1 left, 2 right, 3 perhaps left, 4 perhaps right, over the same view; its
+            resolution may differ.
         image_from_crop: (3, 3) from `square_crop` or `perspective_crop`; carries the mirroring.
         side: LEFT or RIGHT, the hand in question.
         size: side of the crop in pixels.
@@ -42,5 +44,6 @@ def compose_hand_input(
     crop = warp_image(image, image_from_crop, size)
     mask = warp_image(masks, mask_per_image[:, None] * image_from_crop, size, interpolation="nearest")
     weight = np.full(256, background, dtype=np.float32)
-    weight[1 + side], weight[2 - side] = 1.0, max(OTHER_HAND_WEIGHT, background)
+    own, other = 1 + side, 2 - side
+    weight[[own, own + PERHAPS]], weight[[other, other + PERHAPS]] = 1.0, max(OTHER_HAND_WEIGHT, background)
     return (crop * weight[mask][..., None]).astype(np.uint8)

@@ -29,6 +29,10 @@ LETTERBOX_GREY = 128
 """What surrounds a picture that does not fill a network's input: 0 once it is normalised."""
 STRETCH = 0.05
 """Pictures whose aspect ratio is this close to the network's input are stretched to fill it."""
+PERHAPS = 2
+"""What is added to a hand's class in masks where a pixel is perhaps that hand's."""
+PERHAPS_LEAD = 1.0
+"""The background's lead, in logits, below which a pixel is perhaps a hand's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +113,7 @@ def network_input(images: np.ndarray) -> np.ndarray:
 
 
 def masks_from_logits(logits: np.ndarray, image_size: tuple[int, int], present: np.ndarray) -> np.ndarray:
-    """Per-pixel class at full resolution.
+    """Per-pixel class at full resolution, with what may be a hand's besides.
 
     Each hand's lead over the background is enlarged before the decision, which keeps outlines smooth.
 
@@ -119,16 +123,24 @@ def masks_from_logits(logits: np.ndarray, image_size: tuple[int, int], present: 
         present: (2,) bool, which hands are there; a hand that is not gets no pixel.
 
     Returns:
-        (H, W) uint8, 0 background, 1 left, 2 right.
+        (H, W) uint8, 0 background, 1 left, 2 right; 3 perhaps left, 4 perhaps right where the background leads by less
+        than `PERHAPS_LEAD`. `certain_masks` takes these for background, `compose_hand_input` for the hand.
     """
     height, width = image_size
     masks = np.zeros((height, width), np.uint8)
     largest, lead = np.zeros((2, height, width), np.float32)  # used again and again: fresh memory is slow to get
+    largest -= PERHAPS_LEAD
     for hand in 1 + np.flatnonzero(present):  # one class after the other: np.argmax over all takes four times as long
         cv2.resize(np.asarray(logits[hand] - logits[0], np.float32), (width, height), dst=lead)
-        masks[lead > largest] = hand
+        np.copyto(masks, np.uint8(hand), where=lead > largest)
         cv2.max(largest, lead, dst=largest)
+    np.add(masks, np.uint8(PERHAPS), out=masks, where=(largest <= 0) & (masks > 0))
     return masks
+
+
+def certain_masks(masks: np.ndarray) -> np.ndarray:
+    """Masks (H, W) uint8 with what is perhaps a hand's (`masks_from_logits`) given to the background."""
+    return cv2.threshold(masks, PERHAPS, 0, cv2.THRESH_TOZERO_INV)[1]
 
 
 def otsu_threshold(energy: np.ndarray) -> float:
@@ -256,12 +268,13 @@ def as_one_hand(masks: np.ndarray, boxes_px: np.ndarray, side: int) -> tuple[np.
     """Both candidates taken for one hand, of which HandSegNet gave a part to either side.
 
     Args:
-        masks: (H, W) uint8, 0 background, 1 left, 2 right.
+        masks: (H, W) uint8, as `masks_from_logits` gives them.
         boxes_px: (2, 4) u0, v0, u1, v1 of both.
         side: which hand it is taken for.
 
     Returns:
-        The masks (H, W) uint8 with every hand's pixel that side's, and the box (4,) around both boxes.
+        The masks (H, W) uint8 with every pixel that is or may be a hand's that side's, and the box (4,) around both
+        boxes.
     """
     corners = np.concatenate([boxes_px[:, :2], boxes_px[:, 2:]])
     return np.where(masks > 0, np.uint8(side + 1), np.uint8(0)), np.asarray(box_from_points(corners))

@@ -32,6 +32,7 @@ from twohands.geometry.segmentation import (
     HandBoxes,
     as_one_hand,
     boxes_from_energy,
+    certain_masks,
     hand_scores,
     letterbox,
     masks_from_logits,
@@ -179,7 +180,7 @@ class HandEstimator:
                 pose = replace(pose, joints_m=joints_m)
             for i, side in enumerate(sides):
                 hands[side] = _hand_pose(boxes, look, canonical[i], pose, i)
-        return TwoHandPose(hands[0], hands[1], camera, masks, index, time_s)
+        return TwoHandPose(hands[0], hands[1], camera, certain_masks(masks), index, time_s)
 
     def segment(
         self, image: np.ndarray, truth: StageTruth = NO_TRUTH, remembered: np.ndarray | None = None
@@ -192,7 +193,7 @@ class HandEstimator:
             remembered: (2,) bool, see `assign_sides`.
 
         Returns:
-            (H, W) masks 0 background, 1 left, 2 right; and the boxes.
+            (H, W) masks as `masks_from_logits` gives them, and the boxes.
         """
         size = image.shape[:2]
         masks, boxes = truth.masks, _true_boxes(truth)

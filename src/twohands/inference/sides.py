@@ -12,8 +12,8 @@ from typing import Final
 import numpy as np
 
 from twohands.geometry.boxes import box_iou
-from twohands.geometry.segmentation import log_odds
-from twohands.skeleton import ROOT, WRIST
+from twohands.geometry.segmentation import PERHAPS, log_odds
+from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
 
 CANDIDATE_THRESHOLD: Final = 0.3
 """HandSegNet's score (`geometry.segmentation.hand_scores`) from which on PoseNet2D looks at a candidate.
@@ -111,7 +111,7 @@ def corrected_masks(masks: np.ndarray, source: np.ndarray, boxes_px: np.ndarray)
     """Masks that agree with the answer.
 
     Args:
-        masks: (H, W) uint8, 0 background, 1 left, 2 right, by HandSegNet's candidates.
+        masks: (H, W) uint8, as `masks_from_logits` gives them, by HandSegNet's candidates.
         source: (2,) as `assign_sides` gives it.
         boxes_px: (2, 4) u0, v0, u1, v1 of the candidates; NaN where there was none.
 
@@ -120,7 +120,7 @@ def corrected_masks(masks: np.ndarray, source: np.ndarray, boxes_px: np.ndarray)
         that it is. The pixels of a candidate that is no hand go to a hand whose box meets its own, else to the
         background.
     """
-    classes = np.arange(3, dtype=np.uint8)
+    classes = np.arange(1 + 2 * PERHAPS, dtype=np.uint8)
     for candidate in np.flatnonzero(np.isfinite(boxes_px).all(axis=1)):
         owners, others = np.flatnonzero(source == candidate), np.flatnonzero(source == 1 - candidate)
         if len(owners):
@@ -129,4 +129,6 @@ def corrected_masks(masks: np.ndarray, source: np.ndarray, boxes_px: np.ndarray)
             classes[1 + candidate] = 1 + others[0]
         else:
             classes[1 + candidate] = 0
-    return masks if classes.tolist() == [0, 1, 2] else classes[masks]
+    for known in (1 + LEFT, 1 + RIGHT):
+        classes[known + PERHAPS] = classes[known] + PERHAPS if classes[known] else 0
+    return masks if classes.tolist() == list(range(len(classes))) else classes[masks]

@@ -46,6 +46,8 @@ class DataConfig:
     rest equally."""
     clutter: float = 0.0
     """Share of backgrounds with things laid over that could be taken for hands (`synth.clutter`)."""
+    remixed: float = 0.0
+    """Share of backgrounds in other colours, half of these made of two (`synth.remix`); clutter comes on top."""
     empty: float = 0.04
     """Share of pictures from cached frames that show no hand, for HandSegNet and for PoseNet2D's judge."""
     variants: int = 20
@@ -57,7 +59,7 @@ class DataConfig:
     """Processes that prepare batches; 0 prepares them in the training process. The result is the same."""
 
     def __post_init__(self) -> None:
-        for name in ("procedural", "clutter", "empty"):
+        for name in ("procedural", "clutter", "remixed", "empty"):
             if not 0 <= getattr(self, name) <= 1:
                 raise InputError(f"data.{name} must lie in [0, 1], got {getattr(self, name)}")
         for name in ("validation", "seed", "workers"):
@@ -305,7 +307,7 @@ def recipe(name: RecipeName, stage: StageName) -> TrainConfig:
         batch_images=16,
         precision="bf16-mixed",
         networks=SLIM,
-        data=DataConfig(clutter=0.25 if pose else 0.4, empty=0.12 if pose else 0.1),
+        data=DataConfig(clutter=0.25 if pose else 0.4, remixed=0.4, empty=0.12 if pose else 0.1),
         crop=CropConfig(
             "perspective",
             margin=1.2,

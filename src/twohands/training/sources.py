@@ -94,10 +94,13 @@ def backgrounds_of(spec: DataConfig) -> Backgrounds:
     from twohands.synth.backgrounds import BackgroundFolder, MixedBackgrounds, ProceduralBackgrounds
     from twohands.synth.clips import RoomBackgrounds
     from twohands.synth.clutter import ClutteredBackgrounds
+    from twohands.synth.remix import RemixedBackgrounds
 
     backgrounds: Backgrounds = MixedBackgrounds((ProceduralBackgrounds(), RoomBackgrounds()), (0.5, 0.5))
     folders = [BackgroundFolder(Path(name.strip())) for name in spec.backgrounds.split(",") if name.strip()]
     if folders:
         share = (1 - spec.procedural) / len(folders)
         backgrounds = MixedBackgrounds((*folders, backgrounds), (*[share] * len(folders), spec.procedural))
+    if spec.remixed:
+        backgrounds = RemixedBackgrounds(backgrounds, spec.remixed)
     return ClutteredBackgrounds(backgrounds, spec.clutter) if spec.clutter else backgrounds

@@ -1,0 +1,74 @@
+"""Backgrounds made of other backgrounds: in other colours, darker or overexposed, two in one.
+
+A few hundred photographs show what they show in its own colours. White things in full light and whole pictures of one
+tint are rare among them, so a network may take such a thing for a hand and be sure of it. Ours; the paper has the
+photographs as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from twohands.synth.backgrounds import Background, Backgrounds
+from twohands.types import PinholeCamera
+
+
+class RemixedBackgrounds:
+    """Remixes a share of another source's backgrounds: all of these are recoloured, half of them joined before.
+
+    Args:
+        source: gives the backgrounds.
+        share: 0..1, of the backgrounds that are remixed.
+    """
+
+    def __init__(self, source: Backgrounds, share: float) -> None:
+        self.source, self.share = source, share
+        self.name = f"{source.name} + remixed {share:g}"
+
+    @property
+    def unreadable(self) -> Sequence[str]:
+        """See `Backgrounds.unreadable`."""
+        return self.source.unreadable
+
+    def sample(self, rng: np.random.Generator, camera: PinholeCamera) -> Background:
+        """A random background for a camera."""
+        background = self.source.sample(rng, camera)
+        if rng.random() >= self.share:
+            return background
+        picture = background.picture
+        if rng.random() < 0.5:
+            picture = joined(picture, self.source.sample(rng, camera).picture, rng)
+        return Background(recoloured(picture, rng), background.surroundings)
+
+
+def joined(picture: np.ndarray, other: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Two pictures (H, W, 3) uint8 in one: on either side of a line, or `other` small within `picture`, which may be
+    upside down there."""
+    height, width = picture.shape[:2]
+    if rng.random() < 0.5:
+        angle = rng.uniform(0, 2 * np.pi)
+        across = np.array([np.cos(angle), np.sin(angle)], np.float32)
+        offset = float((rng.uniform(0.2, 0.8, 2) * [width, height]) @ across)
+        rows, columns = np.mgrid[:height, :width].astype(np.float32)
+        return np.where((columns * across[0] + rows * across[1] < offset)[..., None], picture, other)
+    scale = rng.uniform(0.25, 0.75)
+    small = cv2.resize(other, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    left, top = rng.integers(0, width - small.shape[1] + 1), rng.integers(0, height - small.shape[0] + 1)
+    result = picture.copy()
+    result[top : top + small.shape[0], left : left + small.shape[1]] = small[:: -1 if rng.random() < 0.3 else 1]
+    return result
+
+
+def recoloured(picture: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """The picture (H, W, 3) uint8 with its colours mixed or nearly grey, and darker or overexposed."""
+    mix = np.eye(3)
+    if rng.random() < 0.6:
+        strength = rng.uniform(0.2, 1)
+        mix = (1 - strength) * mix + strength * mix[rng.permutation(3)]
+    if rng.random() < 0.3:
+        mix = 0.3 * mix + 0.7 / 3
+    gain = np.exp(rng.normal(0.15, 0.5) + rng.normal(0, 0.1, 3))
+    return np.asarray(cv2.transform(picture, mix * gain[:, None]))
