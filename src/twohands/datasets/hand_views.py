@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from twohands.geometry.boxes import box_from_points
+from twohands.geometry.boxes import box_from_points, inside_picture
 from twohands.geometry.rotation import rotation_about_z
 from twohands.types import HandSample
 
@@ -49,11 +49,6 @@ def boxes_inside(points: np.ndarray, width: int, height: int) -> tuple[np.ndarra
     sizes, whole_sizes = inside[:, 2:] - inside[:, :2], whole[:, 2:] - whole[:, :2]
     present = (sizes.min(axis=1) >= 2) & (sizes.prod(axis=1) >= LEAST_INSIDE * whole_sizes.prod(axis=1))
     return np.where(present[:, None], inside, 0.0), present
-
-
-def inside_picture(points: np.ndarray, width: int, height: int) -> np.ndarray:
-    """(..., 2) points -> (...) bool, within [0, width) x [0, height); NaN is outside."""
-    return np.asarray(((points >= 0) & (points < [width, height])).all(axis=-1))
 
 
 def cut_at_border(sample: HandSample, rng: np.random.Generator) -> HandSample:

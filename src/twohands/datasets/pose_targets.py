@@ -7,13 +7,14 @@ from typing import Literal
 
 import numpy as np
 
-from twohands.datasets.hand_views import hand_box, hand_classes, inside_picture, random_roll
+from twohands.datasets.hand_views import hand_box, hand_classes, random_roll
 from twohands.datasets.transforms import MaskConfig, PhotometricConfig, jitter_colours, spoil_masks
 from twohands.errors import InputError
 from twohands.geometry.boxes import (
     apply_homography,
     box_iou,
     image_from_rolled,
+    inside_picture,
     perspective_crop,
     rolled_box,
     square_crop,

@@ -55,6 +55,11 @@ def box_in_picture(points_px: Array, width: int, height: int) -> Array:
     return xp.minimum(xp.maximum(box, xp.zeros_like(box)), corner)
 
 
+def inside_picture(points_px: NDArray[Any], width: int, height: int) -> NDArray[np.bool_]:
+    """(..., 2) points -> (...) bool, within [0, width) x [0, height); NaN is outside."""
+    return np.asarray(((points_px >= 0) & (points_px < [width, height])).all(axis=-1))
+
+
 def box_iou(a: Array, b: Array) -> Array:
     """Intersection over union.
 

@@ -169,7 +169,7 @@ def with_smooth_ranges(
     """
     joints_m, valid = predictions.joints_m.copy(), predictions.valid.copy()
     for frames in sequences(predictions.sources):
-        tracker = HandTracker(smoothing)
+        tracker = HandTracker(smoothing, carried_frames=0)  # the same hands in all rows
         for number, index in enumerate(frames):
             pose = tracker.update(replace(poses[index], index=number))
             for side, hand in enumerate(pose.hands):

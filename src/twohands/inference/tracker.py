@@ -2,7 +2,8 @@
 
 Source: paper section 4.4 (last paragraph), SPEC 6. Only the radius is smoothed, because it is the noisy part of a
 camera-space pose: direction and canonical pose are the current frame's, and the hand moves along its line of sight.
-Everything is causal: a result never changes when later frames come.
+Hands that leave the picture are carried on for a moment (`inference.leaving`, ours). Everything is causal: a result
+never changes when later frames come.
 """
 
 from __future__ import annotations
@@ -16,8 +17,9 @@ from numpy.polynomial import legendre
 
 from twohands.errors import InputError
 from twohands.geometry.canonical import camera_from_canonical
+from twohands.inference.leaving import CARRIED_FRAMES, LeavingHand
 from twohands.skeleton import ROOT, WRIST
-from twohands.types import HandPose, TwoHandPose
+from twohands.types import HandPose, PinholeCamera, TwoHandPose
 
 PREDICTED = "predicted"
 """`HandPose.method` of a hand whose range is the queue's prediction."""
@@ -264,16 +266,20 @@ class RangeFilter:
 
 
 class HandTracker:
-    """Both hands over video: takes the poses of any estimator, frame by frame, and gives them back with smooth ranges.
+    """Both hands over video: takes the poses of any estimator, frame by frame, and gives them back with smooth ranges,
+    and a hand that leaves the picture for some frames longer.
 
-    State: one `RangeFilter` and the last known hand length per side. The hands do not influence each other.
+    State: one `RangeFilter`, one `LeavingHand` and the last known hand length per side. The hands do not influence each
+    other.
 
     Args:
         smoothing: the same for both hands.
+        carried_frames: for how many frames a leaving hand is carried on; 0 for never.
     """
 
-    def __init__(self, smoothing: RangeSmoothing = DEFAULT_SMOOTHING) -> None:
+    def __init__(self, smoothing: RangeSmoothing = DEFAULT_SMOOTHING, carried_frames: int = CARRIED_FRAMES) -> None:
         self.smoothing = smoothing
+        self._leaving = tuple(LeavingHand(carried_frames) for _ in range(2))
         self.reset()
 
     def reset(self) -> None:
@@ -293,7 +299,8 @@ class HandTracker:
             line of sight; where the range was refused as an outlier, to the prediction, with `method` "predicted". A
             present hand without a valid range is placed at the queue's prediction, with `valid` True and that `method`,
             if the queue has one and the hand has a canonical pose, a direction and a length known from an earlier
-            frame. Everything else is as it came: pixels, directions, and absent hands altogether.
+            frame. An absent hand that is leaving the picture (`LeavingHand`) is present, placed likewise. Everything
+            else is as it came: pixels, directions, and other absent hands altogether.
 
         Raises:
             InputError: neither time nor index advances.
@@ -302,15 +309,18 @@ class HandTracker:
         if timed != self._timed:
             self._start(timed)
         time = float(pose.index if pose.time_s is None else pose.time_s)
-        left, right = (self._update(side, hand, time) for side, hand in enumerate(pose.hands))
+        left, right = (self._update(side, hand, time, pose.camera) for side, hand in enumerate(pose.hands))
         return replace(pose, left=left, right=right)
 
     def _start(self, timed: bool) -> None:
         self._timed = timed
         smoothing = self.smoothing if timed else replace(self.smoothing, max_gap_s=math.inf)
         self._filters = (RangeFilter(smoothing), RangeFilter(smoothing))
+        for leaving in self._leaving:
+            leaving.reset()
 
-    def _update(self, side: int, hand: HandPose, time: float) -> HandPose:
+    def _update(self, side: int, hand: HandPose, time: float, camera: PinholeCamera) -> HandPose:
+        hand = self._leaving[side].update(hand, time, camera)
         solved = hand.present and bool(hand.valid) and hand.joints_m is not None
         radius = self._filters[side].update(time, hand.range_m if solved else None)
         if solved:

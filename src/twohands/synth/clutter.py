@@ -2,8 +2,9 @@
 
 A few hundred photographs hold little of what misleads a network in other rooms: table legs, wooden slats, lamps, faces.
 So training lays rounded, lit things over some backgrounds: sticks that bend and taper as arms do, blobs and boards, in
-the colours of skin and wood or covered with a piece of the photograph itself; and some of these pictures are toned like
-skin as a whole, for horses, fruit and furniture are no hands either. Ours; the paper has photographs alone.
+the colours of skin and wood, white as a hand in full light, or covered with a piece of the photograph itself; and some
+of these pictures are toned like skin as a whole, for horses, fruit and furniture are no hands either. Ours; the paper
+has photographs alone.
 """
 
 from __future__ import annotations
@@ -86,7 +87,8 @@ def _lay(canvas: np.ndarray, picture: np.ndarray, towards_light: np.ndarray, rng
     part = np.s_[top : top + height, left : left + width]
     mask = mask[part]
     light = _lighting(mask, towards_light, rng)
-    colour = (_skin, _wood, _piece)[rng.choice(3, p=[0.45, 0.25, 0.3])](picture, height, width, angle, rng)
+    kind = (_skin, _wood, _piece, _white)[rng.choice(4, p=[0.4, 0.2, 0.25, 0.15])]
+    colour = kind(picture, height, width, angle, rng)
     alpha = cv2.GaussianBlur(mask, (0, 0), 0.7)[..., None] / np.float32(255)
     thing = np.clip(colour * light[..., None], 0, 255)
     canvas[part] = np.rint(canvas[part] * (1 - alpha) + thing * alpha).astype(np.uint8)
@@ -151,6 +153,11 @@ def _skin(picture: np.ndarray, height: int, width: int, angle: float, rng: np.ra
     """(height, width, 3) float32: a colour like skin, a little blotchy."""
     blotches = rng.normal(0, rng.uniform(0, 10), (max(2, height // 12), max(2, width // 12), 3)).astype(np.float32)
     return skin_like(rng, 1)[0].astype(np.float32) + cv2.resize(blotches, (width, height))
+
+
+def _white(picture: np.ndarray, height: int, width: int, angle: float, rng: np.random.Generator) -> np.ndarray:
+    """(height, width, 3) float32: white of any tint, up to overexposed."""
+    return np.full((height, width, 3), rng.uniform(200, 400) + rng.normal(0, 15, 3), np.float32)
 
 
 def _wood(picture: np.ndarray, height: int, width: int, angle: float, rng: np.random.Generator) -> np.ndarray:
