@@ -34,7 +34,7 @@ from twohands.evaluation.predictions import Predictions, predict
 from twohands.evaluation.protocols import metrics_of
 from twohands.evaluation.report import format_number
 from twohands.evaluation.summary import markdown_table
-from twohands.geometry.projection import Method, project_global
+from twohands.geometry.projection import Method, project_global, range_weights
 from twohands.inference.budget import STUDIES
 from twohands.inference.engine import Networks, load_networks
 from twohands.inference.estimator import NO_TRUTH, RAY_SHARE, SECOND_LOOK_IOU, HandEstimator, StageTruth
@@ -193,16 +193,18 @@ def highest_cells(maps: np.ndarray) -> np.ndarray:
 
 
 class OtherSolver(HandEstimator):
-    """The range is solved by another method, without weights.
+    """The root is placed by another method.
 
     Args:
         networks, card: as `HandEstimator`.
         method: as `project_global`.
+        weighted: whether the joints count as in the pipeline; else all alike.
     """
 
-    def __init__(self, networks: Networks, card: WeightsCard, method: Method) -> None:
+    def __init__(self, networks: Networks, card: WeightsCard, method: Method, *, weighted: bool = False) -> None:
         super().__init__(networks, card)
         self._method: Method = method
+        self._weighted = weighted
 
     def place(
         self,
@@ -213,7 +215,8 @@ class OtherSolver(HandEstimator):
         lengths_m: np.ndarray,
     ) -> GlobalPose:
         """As `HandEstimator.place`."""
-        return project_global(canonical, joints_px, camera, lengths_m, method=self._method)
+        weights = range_weights(joint_scores) if self._weighted else None
+        return project_global(canonical, joints_px, camera, lengths_m, method=self._method, weights=weights)
 
 
 def looking(
@@ -270,12 +273,13 @@ def ablations(complete: TruthfulEstimator, floating: Networks | None) -> list[Ab
             },
         ),
         Ablation(
-            "Range in closed form",
-            "The paper's: key bone. Ours: the last row.",
+            "The root's place",
+            "The paper's: key bone. Ours: the last row. But in that, the direction is that of the root's own pixel.",
             {
                 "key bone": TruthfulEstimator(OtherSolver(networks, card, "keybone")),
                 "all joints alike": TruthfulEstimator(OtherSolver(networks, card, "all-joints")),
-                "all joints, weighted": complete,
+                "all joints, weighted": TruthfulEstimator(OtherSolver(networks, card, "all-joints", weighted=True)),
+                "fitted": complete,
             },
         ),
         Ablation(

@@ -1,4 +1,4 @@
-"""How noise in the 2D and 3D joints reaches the range: the paper's key bone against all joints.
+"""How noise in the 2D and 3D joints reaches the range: the paper's key bone against all joints and the fit.
 
     python -m benchmarks.range_noise
 
@@ -14,7 +14,7 @@ from twohands.geometry.projection import project_global
 from twohands.skeleton import ROOT
 
 NOISE = ((1.0, 0.0), (2.0, 0.0), (0.0, 0.03), (1.0, 0.03), (2.0, 0.05))
-METHODS = ("keybone", "all-joints")
+METHODS = ("keybone", "all-joints", "fitted")
 HANDS = 40_000
 HAND_LENGTH_M = 0.10
 

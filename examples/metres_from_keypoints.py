@@ -19,7 +19,7 @@ canonical = canonical_from_camera(hand_m).joints  # what a 3D network estimates
 hand_length_m = np.linalg.norm(hand_m[WRIST] - hand_m[ROOT])
 noisy_px = seen_px + rng.normal(0, 1.0, (1000, 21, 2))  # any leading batch dimensions
 
-for method in ("keybone", "all-joints"):
+for method in ("keybone", "all-joints", "fitted"):
     exact = project_global(canonical, seen_px, camera, hand_length_m, method=method)
     noisy = project_global(canonical, noisy_px, camera, hand_length_m, method=method)
     error_m = np.linalg.norm(exact.joints_m - hand_m, axis=1).max()

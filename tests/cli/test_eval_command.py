@@ -90,7 +90,7 @@ def test_budget_and_report(data: Path, weights: Path, tmp_path: Path, capsys: py
     printed = capsys.readouterr().out
     assert "global" in printed and printed.count("0.000") >= 7
     first = json.loads(budget.read_text())["rows"][0]
-    for method in ("keybone", "all-joints"):
+    for method in ("keybone", "fitted"):
         assert first["metrics"][method]["cs_mpjpe"] == pytest.approx(0, abs=1e-3)  # the labels are float32 in cm
         assert first["metrics"][method]["missed"] == 0
     assert main(["eval", "predict", str(data), "--out", ours, "--weights", str(weights)]) == 0
@@ -126,7 +126,7 @@ def test_report_refuses_what_does_not_fit(
     (tmp_path / "b.json").write_text("{}")
     refused("not an error budget", "--budget", str(tmp_path / "b.json"))
     (tmp_path / "b.json").write_text('{"version": 9}')
-    refused("budget of version 1, got 9", "--budget", str(tmp_path / "b.json"))
+    refused("budget of version 2, got 9", "--budget", str(tmp_path / "b.json"))
     assert main(["eval", "budget", str(data / "1"), "--weights", str(weights), "--out", str(tmp_path / "c.json")]) == 0
     refused("the budget is of other data", "--budget", str(tmp_path / "c.json"))
     refused("no such file", files=(str(tmp_path / "none.npz"),))

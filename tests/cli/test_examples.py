@@ -19,9 +19,9 @@ def output_of(*arguments: object) -> str:
 
 
 def test_metres_from_keypoints():
-    """Both methods find the hand again to the last digits; noise moves the result of both."""
+    """All methods find the hand again to the last digits; noise moves the result of each."""
     lines = output_of(EXAMPLES / "metres_from_keypoints.py").splitlines()
-    assert [line.split()[0] for line in lines] == ["keybone", "all-joints"]
+    assert [line.split()[0] for line in lines] == ["keybone", "all-joints", "fitted"]
     for line in lines:
         assert float(line.split("error ")[1].split(" m")[0]) < 1e-9
         assert 0 < float(line.split("noise: ")[1].split(" cm")[0]) < 10

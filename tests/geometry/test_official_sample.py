@@ -46,7 +46,7 @@ def test_canonical_is_recomputed(to, sample):
     np.testing.assert_allclose(np.asarray(canonical.hand_length_m), HAND_LENGTH_M, atol=1e-6)
 
 
-@pytest.mark.parametrize("method", ["keybone", "all-joints"])
+@pytest.mark.parametrize("method", ["keybone", "all-joints", "fitted"])
 def test_global_is_recovered(to, sample, method):
     pose = project_global(to(sample.canonical), to(sample.joints_px), CAMERA, HAND_LENGTH_M, method=method)
     assert np.asarray(pose.valid).all()

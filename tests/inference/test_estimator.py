@@ -51,7 +51,7 @@ def test_truth_for_every_stage_gives_exact_metres_and_runs_no_network():
             x, y, z = sample.joints_m[side, 9]
             assert hand.theta_deg == pytest.approx(np.degrees(np.arctan2(y, z)))
             assert hand.phi_deg == pytest.approx(np.degrees(np.arctan2(x, np.hypot(y, z))))
-            assert (hand.method, hand.score) == ("all-joints", 1.0)
+            assert (hand.method, hand.score) == ("fitted", 1.0)
 
 
 @pytest.mark.parametrize(

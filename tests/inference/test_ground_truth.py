@@ -123,11 +123,11 @@ def drawn_budget(count: int = 2, scale: float = 1.0):
 
 
 def test_the_global_step_alone_costs_nothing() -> None:
-    """The paper's claim: perfect input gives a perfect place, with the key bone as with all joints."""
+    """The paper's claim: perfect input gives a perfect place, with the key bone as fitted to all joints."""
     budget = drawn_budget()
     row = budget["rows"][0]
     assert row["study"] == "global" and set(row["truth"]) == set(STAGES)
-    for method in ("keybone", "all-joints"):
+    for method in ("keybone", "fitted"):
         for key in ("cs_mpjpe", "range_median", "direction_median", "error_3d_spherical_mean"):
             assert abs(row["metrics"][method][key]) < 1e-9, (method, key)
     assert budget_results(budget)[1] == ["global step alone", *["0.000"] * 3, *["0.000 / 0.000"] * 2, "0"]
@@ -168,9 +168,9 @@ def test_solving_again_repeats_the_estimator() -> None:
     predictions = predict(samples, estimate, dataset="drawn", weights="oracle", settings={})
     cameras = [sample.camera for sample in samples]
     lengths = np.array([hand_lengths_m(sample) for sample in samples])
-    again = solved_again(predictions, cameras, lengths, "all-joints")
+    again = solved_again(predictions, cameras, lengths, "fitted")
     np.testing.assert_allclose(again.joints_m, predictions.joints_m, atol=1e-12)
     noisy = replace(predictions, joints_px=predictions.joints_px + np.random.default_rng(0).normal(size=(2, 2, 21, 2)))
-    every, other = (solved_again(noisy, cameras, lengths, method) for method in ("all-joints", "keybone"))
+    every, other = (solved_again(noisy, cameras, lengths, method) for method in ("fitted", "keybone"))
     assert np.abs(other.joints_m - every.joints_m).max() > 1e-3
     assert other.valid.all() and other.mask(0) is None

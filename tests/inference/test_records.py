@@ -47,7 +47,7 @@ def test_the_schema_of_version_1():
             "box_px": (4,), "joints_px": (21, 2), "joint_scores": (21,), "canonical": (21, 3), "joints_m": (21, 3)
         }  # fmt: skip
         assert hand["present"] is True and hand["valid"] is True
-        assert hand["key_bone"] in ("wrist", "little") and hand["method"] == "all-joints"
+        assert hand["key_bone"] in ("wrist", "little") and hand["method"] == "fitted"
     absent = second["hands"]["left"]
     assert absent == {name: None for name in HAND_KEYS} | {"present": False}
 

@@ -341,7 +341,7 @@ def _run_budget(args: Budget) -> int:
         command=_command(),
     ).to_dict()
     _print_table(f"{samples.name}: {count} images, weights {budget['weights']}", budget_results(budget))
-    _print_table("what each stage costs, all joints", budget_costs(budget))
+    _print_table("what each stage costs, fitted", budget_costs(budget))
     for note in notes:
         print(note)
     if args.out is not None:

@@ -32,7 +32,7 @@ def complete_hand(
     canonical: ArrayLike | None = None,
     box_px: ArrayLike | None = None,
     score: float | None = None,
-    method: Method = "all-joints",
+    method: Method = "fitted",
 ) -> HandPose:
     """One present hand with everything that follows from what is given.
 
@@ -74,7 +74,7 @@ def complete_hand(
             own = canonical_from_camera(space)
             pose = np.asarray(own.joints) if bool(own.valid) else None
     elif pixels is not None and pose is not None:
-        weights = range_weights(np.ones(N_JOINTS)) if method == "all-joints" else None
+        weights = None if method == "keybone" else range_weights(np.ones(N_JOINTS))
         solved = project_global(pose, pixels, camera, hand_length_m, method=method, weights=weights)
         space = np.asarray(solved.joints_m) if bool(solved.valid) else None
     if box is None and pixels is not None:

@@ -104,7 +104,7 @@ def _dataset(summary: Summary) -> list[str]:
         lines += ["### Over the hands that every system found", "", *markdown_table(table), ""]
     if tables := summary.budget_tables():
         lines += ["### Error budget", "", BUDGET_TEXT, "", *_budget_size(summary), *markdown_table(tables[0]), ""]
-        lines += ["What each stage costs (all joints):", "", *markdown_table(tables[1]), ""]
+        lines += ["What each stage costs (fitted):", "", *markdown_table(tables[1]), ""]
     for title, table in summary.part_tables():
         lines += [f"### {title}", "", *markdown_table(table), ""]
     commands = [system.command for system in summary.systems]

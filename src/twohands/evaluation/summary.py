@@ -246,7 +246,7 @@ class Summary:
             lines += [*markdown_table(table), ""]
         if tables := self.budget_tables():
             lines += ["## Error budget", "", BUDGET_TEXT, "", *markdown_table(tables[0]), ""]
-            lines += ["What each stage costs (all joints):", "", *markdown_table(tables[1]), ""]
+            lines += ["What each stage costs (fitted):", "", *markdown_table(tables[1]), ""]
         for title, table in self.part_tables():
             lines += [f"## {title}", "", *markdown_table(table), ""]
         lines += ["## Areas under the curves", "", *markdown_table(self.auc_table()), ""]
@@ -330,7 +330,7 @@ def summarise(
 
 def budget_results(budget: dict[str, Any]) -> Table:
     """One row a study: what was estimated, the errors, hands missed."""
-    both = "key bone / all joints"
+    both = "key bone / fitted"
     head = [
         "estimated",
         "2D (px)",
@@ -342,11 +342,11 @@ def budget_results(budget: dict[str, Any]) -> Table:
     table: Table = [[*head, "missed"]]
     for row in budget["rows"]:
         metrics = row["metrics"]
-        numbers = [_fixed(metrics["all-joints"][key]) for key in BUDGET_COLUMNS[:3]]
+        numbers = [_fixed(metrics["fitted"][key]) for key in BUDGET_COLUMNS[:3]]
         numbers += [
-            " / ".join(_fixed(metrics[how][key]) for how in ("keybone", "all-joints")) for key in BUDGET_COLUMNS[3:]
+            " / ".join(_fixed(metrics[how][key]) for how in ("keybone", "fitted")) for key in BUDGET_COLUMNS[3:]
         ]
-        table.append([row["estimated"], *numbers, _whole(metrics["all-joints"]["missed"])])
+        table.append([row["estimated"], *numbers, _whole(metrics["fitted"]["missed"])])
     return table
 
 
@@ -367,7 +367,7 @@ def budget_costs(budget: dict[str, Any]) -> Table:
     for row in budget["rows"]:
         if row["against"] is None:
             continue
-        now, before = row["metrics"]["all-joints"], rows[row["against"]]["metrics"]["all-joints"]
+        now, before = row["metrics"]["fitted"], rows[row["against"]]["metrics"]["fitted"]
         costs = [_difference(now[key], before[key], "+.3f") for key in BUDGET_COLUMNS]
         missed = _difference(now["missed"], before["missed"], "+.0f")
         table.append([row["stage"], rows[row["against"]]["estimated"], *costs, missed])

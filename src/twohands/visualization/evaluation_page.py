@@ -172,7 +172,7 @@ def render_page(summary: Summary, typical: Sequence[Case], worst: Sequence[Case]
         parts.append(f"<h2>Beside published numbers</h2>{caveat}{_table(table)}")
     if tables := summary.budget_tables():
         parts.append(f"<h2>Error budget</h2><p>{_text(BUDGET_TEXT)}</p>{_table(tables[0])}")
-        parts.append(f"<h3>What each stage costs (all joints)</h3>{_table(tables[1])}")
+        parts.append(f"<h3>What each stage costs (fitted)</h3>{_table(tables[1])}")
     for title, table in summary.part_tables():
         parts.append(f"<h2>{_text(title)}</h2>{_PART_TEXT}{_table(table)}")
     if typical:
