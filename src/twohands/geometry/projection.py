@@ -335,7 +335,6 @@ def _fitted(
     radius, doubt = (xp.where(begun, value, 1.0) for value in (radius, doubt))
     known = xp.all(xp.isfinite(rays), axis=-1) & (weight > 0) & begun[..., None]
     rays, weight = xp.where(known[..., None], rays, 1.0), xp.where(known, weight, 0.0)
-    one, zero = xp.ones_like(radius) + _STEADINESS, xp.zeros_like(radius)
     for _ in range(_FIT_STEPS):
         to_centre = rotation_from_angles(theta, phi)
         slopes, in_front = _slopes(xp, rotate(to_centre, rays))
@@ -344,18 +343,16 @@ def _fitted(
         depth = xp.where(usable, depth, 1.0)
         off = (slopes - joints[..., :2] / depth[..., None]) * (radius / doubt)[..., None, None]
         trust = xp.where(usable, weight / (1 + xp.sum(off * off, axis=-1)) / depth**2, 0.0)
-        slope_u, slope_v = slopes[..., 0], slopes[..., 1]
+        whole = xp.sum(trust, axis=-1, keepdims=True)
+        trust = (trust / xp.where(whole > 0, whole, 1.0))[..., None]  # (..., 21, 1)
+        # t_xy = mean(m) t_z + mean(y) with y_j = L (m_j z_j - xy_j), which leaves (m_j - mean(m)) t_z = mean(y) - y_j
         wanted = slopes * joints[..., 2:] - joints[..., :2]
-        whole = xp.sum(trust, axis=-1)
-        trust = trust / xp.where(whole > 0, whole, 1.0)[..., None]
-        mean_u, mean_v = xp.sum(trust * slope_u, axis=-1), xp.sum(trust * slope_v, axis=-1)
-        squares = xp.sum(trust * (slope_u**2 + slope_v**2), axis=-1) + _STEADINESS
-        rows = ((one, zero, -mean_u), (zero, one, -mean_v), (-mean_u, -mean_v, squares))
-        matrix = xp.stack([xp.stack([*row], axis=-1) for row in rows], axis=-2)
-        target = [xp.sum(trust * wanted[..., axis], axis=-1) for axis in range(2)]
-        along = _STEADINESS * radius - xp.sum(trust * xp.sum(slopes * wanted, axis=-1), axis=-1)
-        root = xp.linalg.solve(matrix, xp.stack([*target, along], axis=-1)[..., None])[..., 0]
-        root = rotate(xp.matrix_transpose(to_centre), root[..., None, :])[..., 0, :]
+        mean, across = (xp.sum(trust * values, axis=-2, keepdims=True) for values in (slopes, wanted))
+        aside = slopes - mean
+        above = _STEADINESS * radius - xp.sum(trust * aside * wanted, axis=(-2, -1))
+        away = above / (xp.sum(trust * aside * aside, axis=(-2, -1)) + _STEADINESS)
+        root = xp.concat([mean * away[..., None, None] + across, away[..., None, None]], axis=-1)
+        root = rotate(xp.matrix_transpose(to_centre), root)[..., 0, :]
         theta, phi = centring_angles(root)
         radius = xp.linalg.vector_norm(root, axis=-1)
     found = begun & xp.isfinite(radius + theta + phi) & (radius > 0)
