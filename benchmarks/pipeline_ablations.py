@@ -274,7 +274,7 @@ def ablations(complete: TruthfulEstimator, floating: Networks | None) -> list[Ab
         ),
         Ablation(
             "The root's place",
-            "The paper's: key bone. Ours: the last row. But in that, the direction is that of the root's own pixel.",
+            "The paper's: key bone. Ours: the last row. In the others the direction is that of the root's own pixel.",
             {
                 "key bone": TruthfulEstimator(OtherSolver(networks, card, "keybone")),
                 "all joints alike": TruthfulEstimator(OtherSolver(networks, card, "all-joints")),
