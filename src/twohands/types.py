@@ -185,7 +185,8 @@ class HandPose:
         canonical: (21, 3) unitless, root at 0, |wrist - root| = 1 (to about 1 % in an estimate), centred frame.
         joints_m: (21, 3) camera frame, metres; None if the projection is not valid.
         range_m: distance of the root joint, metres; None if not valid.
-        theta_deg, phi_deg: direction of the root joint, where all joints put it: its own pixel may be a little beside.
+        theta_deg, phi_deg: direction of the root joint; a fitted one's is where all joints put it, a little beside its
+            own pixel.
         key_bone: "wrist" or "little".
         method: how the root was placed: "fitted", "all-joints", "keybone"; or "predicted" from earlier frames.
         valid: whether the camera-space result can be used.

@@ -40,7 +40,7 @@ def test_json_and_back() -> None:
     again = Summary.from_dict(json.loads(text))
     assert again.to_markdown() == summary.to_markdown()
     np.testing.assert_array_equal(again.systems[0].curves[0].shares, summary.systems[0].curves[0].shares)
-    with pytest.raises(ValueError, match="version 2, got 1"):
+    with pytest.raises(ValueError, match="version 3, got 1"):
         Summary.from_dict(json.loads(text) | {"version": 1})
 
 

@@ -201,6 +201,23 @@ def test_a_joint_in_the_wrong_place_hardly_moves_the_fit(scene):
     assert np.median(fitted) < 0.05 * np.median(straight)
 
 
+def test_a_fit_that_puts_a_joint_behind_the_camera_is_not_taken():
+    """Near hands, wildly noisy: what the straight solution places, the fit places too."""
+    rng = np.random.default_rng(23)
+    joints_m, joints_px, length = random_hands(2000, CENTRED_CAMERA, rng)
+    canonical = (
+        canonical_from_camera(joints_m).joints
+        + 0.1 * rng.standard_normal(joints_m.shape) * (np.arange(21) != ROOT)[:, None]
+    )
+    joints_px = joints_px + 30 * rng.standard_normal(joints_px.shape)
+    straight, fitted = (
+        project_global(canonical, joints_px, CENTRED_CAMERA, length, method=method)
+        for method in ("all-joints", "fitted")
+    )
+    assert straight.valid.sum() > 1000
+    assert fitted.valid[straight.valid].all()
+
+
 @pytest.mark.parametrize(("kind", "tolerance"), [(np.float64, 1e-6), (np.float32, 1e-4)])
 def test_a_fit_that_leads_nowhere_stays_where_it_starts(to, kind, tolerance):
     """One joint has a say: of the three coordinates of the root it tells one."""

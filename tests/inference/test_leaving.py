@@ -126,6 +126,22 @@ def test_a_pause_is_not_bridged():
     assert carried_after([*LEAVING, ABSENT], times=[0, 1, 2, 3, 4.6])[-1] is ABSENT
 
 
+def test_a_pause_between_two_sightings_ends_what_was_before():
+    """Seen in frames 0 and 1, then in 100, 101: the velocity is that of the last two alone."""
+    hands = [hand_at(100.0), hand_at(120.0), hand_at(425.0), hand_at(435.0), ABSENT]
+    np.testing.assert_allclose(carried_after(hands, times=[0, 1, 100, 101, 102])[-1].joints_px, grid_at(445))
+    assert carried_after([*hands[:3], ABSENT], times=[0, 1, 100, 101])[-1] is ABSENT
+
+
+def test_another_camera_is_another_video():
+    """At half the size, the same pixels would lie across the border."""
+    larger = CENTRED_CAMERA.resized(960, 540)
+    leaving = LeavingHand()
+    for time, hand in enumerate((hand_at(400.0), hand_at(440.0))):
+        leaving.update(hand, time, larger)
+    assert leaving.update(ABSENT, 2, CENTRED_CAMERA) is ABSENT
+
+
 def test_other_systems_may_give_no_joints_in_the_picture():
     bare = dataclasses.replace(LEAVING[-1], joints_px=None)
     assert carried_after([bare, bare, ABSENT])[-1] is ABSENT

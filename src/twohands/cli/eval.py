@@ -47,6 +47,7 @@ from twohands.inference.budget import STUDIES, Study, error_budget, studies_with
 from twohands.inference.budget import VERSION as BUDGET_VERSION
 from twohands.inference.estimator import HandEstimator
 from twohands.inference.ground_truth import HeatmapTargets, Stage, TruthfulEstimator
+from twohands.inference.leaving import CARRIED_FRAMES
 from twohands.inference.smoothing_sweep import DEGREES, LENGTHS, smoothing_sweep
 from twohands.inference.smoothing_sweep import VERSION as SWEEP_VERSION
 from twohands.inference.tracker import HandTracker
@@ -84,7 +85,7 @@ class System:
     """Stages to replace by ground truth, for isolated results."""
     smooth: bool = False
     """Take the frames of each folder as video: hands that were there a frame before are remembered (not a peer's), and
-    ranges are smoothed."""
+    ranges are smoothed and leaving hands carried on."""
     peer: Literal["mediapipe"] | None = None
     """Measure another system instead of ours."""
     peer_python: Path | None = None
@@ -472,7 +473,7 @@ def _predict(dataset: OpenedDataset, system: System, count: int | None) -> Predi
             name = weights_id(preset_folder(system.weights), estimator.card)
             settings = _settings(estimator, system)
         if system.smooth:
-            settings = settings | {"smoothed": True}
+            settings = settings | {"smoothed": True, "carried_frames": CARRIED_FRAMES}
         system_under_test = _Video(estimate) if system.smooth else estimate
         predictions = predict(samples, system_under_test, dataset=dataset.samples.name, weights=name, settings=settings)
     return replace(predictions, command=_command())
@@ -488,7 +489,8 @@ def _settings(estimator: HandEstimator, system: System) -> dict[str, Any]:
 
 
 class _Video:
-    """An estimator that is told what it said of the frame before, and whose ranges are smoothed, folder by folder."""
+    """An estimator that is told what it said of the frame before, and whose ranges are smoothed and leaving hands
+    carried on, folder by folder."""
 
     def __init__(self, estimate: Callable[[HandSample, TwoHandPose | None], TwoHandPose]) -> None:
         self._estimate = estimate

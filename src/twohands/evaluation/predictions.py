@@ -103,7 +103,11 @@ class Predictions:
         joints_m = known("joints_m") if valid else None
         score = float(self.score[index, side])
         joints_px = known("joints_px")
-        theta, phi = (None, None) if joints_px is None else _direction_deg(joints_px[ROOT], camera)
+        theta, phi = None, None
+        if joints_m is not None:
+            theta, phi = _direction_deg(joints_m[ROOT])
+        elif joints_px is not None:
+            theta, phi = _direction_deg(np.asarray(unproject(joints_px[ROOT], camera)))
         return HandPose(
             present=True,
             score=score if np.isfinite(score) else None,
@@ -312,9 +316,9 @@ def _refuse(predictions: Predictions, wrong: NDArray[np.bool_], what: str, where
         )
 
 
-def _direction_deg(root_px: NDArray[np.float64], camera: PinholeCamera) -> tuple[float | None, float | None]:
-    """(theta, phi) in degrees of a root joint seen at a pixel (2,); None outside the lens model."""
-    angles = [float(np.degrees(angle)) for angle in centring_angles(unproject(root_px, camera))]
+def _direction_deg(root: NDArray[np.float64]) -> tuple[float | None, float | None]:
+    """(theta, phi) in degrees of a root joint (3,), or of the ray on which it is seen; None outside the lens model."""
+    angles = [float(np.degrees(angle)) for angle in centring_angles(root)]
     theta, phi = (angle if np.isfinite(angle) else None for angle in angles)
     return theta, phi
 

@@ -16,7 +16,7 @@ from twohands.evaluation.protocols import metrics_of, report_of
 from twohands.evaluation.published import GENERATED_CAVEAT, Published, published_for
 from twohands.evaluation.report import EvaluationReport, Metric, format_number, metric_from_dict
 
-VERSION: Final = 2
+VERSION: Final = 3
 Table = list[list[str]]
 """Rows of text; the first is the heading."""
 

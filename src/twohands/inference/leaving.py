@@ -24,13 +24,14 @@ the hands that preset `fast` misses from 35 to 24 and those that it invents from
 VELOCITY_FRAMES = 3
 """Its velocity is the mean over so many frames, or as many as there are."""
 LONGEST_STEP = 1.5
-"""A hand is carried over a step in time of at most so many steps between the frames before."""
+"""A step in time of more than so many times the one before is a pause, over which no hand is carried."""
 
 
 class LeavingHand:
     """One hand over video.
 
-    State: when and where it was last found, in consecutive frames; for how many frames it has been carried since.
+    State: when and where it was last found, in frames of one camera that follow each other without a pause; for how
+    many frames it has been carried since.
 
     Args:
         frames: for how many frames it is carried at most; 0 for never.
@@ -44,6 +45,7 @@ class LeavingHand:
         """Forget everything."""
         self._seen: deque[tuple[float, HandPose]] = deque(maxlen=VELOCITY_FRAMES + 1)
         self._carried = 0
+        self._camera: PinholeCamera | None = None
 
     def update(self, hand: HandPose, time: float, camera: PinholeCamera) -> HandPose:
         """Take one frame.
@@ -58,9 +60,10 @@ class LeavingHand:
             in the picture, is leaving it, with joints on either side of the border: as last found, with `joints_px`,
             `box_px`, `theta_deg` and `phi_deg` carried on to this frame, and no range: `valid` is False.
         """
+        if (self._carried and hand.present) or camera != self._camera or self._pausing(time):
+            self.reset()
+        self._camera = camera
         if hand.present and hand.joints_px is not None:
-            if self._carried:
-                self.reset()
             self._seen.append((time, hand))
             return hand
         carried = None
@@ -72,14 +75,18 @@ class LeavingHand:
         self._carried += 1
         return carried
 
+    def _pausing(self, time: float) -> bool:
+        """Whether this frame comes much later than the frames before let expect."""
+        if len(self._seen) < 2:
+            return False
+        before, last = self._seen[-2][0], self._seen[-1][0]
+        return time - last > LONGEST_STEP * (last - before) * (1 + self._carried)
+
     def _carry(self, time: float, camera: PinholeCamera) -> HandPose | None:
         """The hand at this time; None where it is not leaving the picture or cannot be carried."""
         if len(self._seen) < 2:
             return None
         (start, first), (end, last) = self._seen[0], self._seen[-1]
-        steps = (time - end) * (len(self._seen) - 1) / (end - start)
-        if steps > LONGEST_STEP * (1 + self._carried):
-            return None
         assert first.joints_px is not None and last.joints_px is not None
         velocity = (last.joints_px - first.joints_px).mean(axis=0) / (end - start)
         joints_px = last.joints_px + velocity * (time - end)
