@@ -108,6 +108,38 @@ class MixedBackgrounds:
         return self.sources[choice].sample(rng, camera)
 
 
+class ChangedBackgrounds:
+    """Changes a share of another source's backgrounds; subclasses say how.
+
+    Args:
+        source: gives the backgrounds.
+        share: 0..1, of the backgrounds that are changed.
+    """
+
+    change = "changed"
+    """What the name says of it."""
+
+    def __init__(self, source: Backgrounds, share: float) -> None:
+        self.source, self.share = source, share
+        self.name = f"{source.name} + {self.change} {share:g}"
+
+    @property
+    def unreadable(self) -> Sequence[str]:
+        """See `Backgrounds.unreadable`."""
+        return self.source.unreadable
+
+    def sample(self, rng: np.random.Generator, camera: PinholeCamera) -> Background:
+        """A random background for a camera."""
+        background = self.source.sample(rng, camera)
+        if rng.random() >= self.share:
+            return background
+        return Background(self.changed(background.picture, rng, camera), background.surroundings)
+
+    def changed(self, picture: np.ndarray, rng: np.random.Generator, camera: PinholeCamera) -> np.ndarray:
+        """The picture (H, W, 3) uint8 RGB after the change; the given one stays as it is."""
+        raise NotImplementedError
+
+
 def procedural_picture(rng: np.random.Generator, width: int, height: int) -> np.ndarray:
     """A random (height, width, 3) uint8 RGB background."""
     canvas = _wash(rng, width, height)

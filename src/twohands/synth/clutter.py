@@ -9,12 +9,10 @@ has photographs alone.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import cv2
 import numpy as np
 
-from twohands.synth.backgrounds import SKIN_RGB, Background, Backgrounds, skin_like
+from twohands.synth.backgrounds import SKIN_RGB, ChangedBackgrounds, skin_like
 from twohands.types import PinholeCamera
 
 MOST_THINGS = 5
@@ -23,32 +21,16 @@ SKIN_TONED = 0.35
 """Share of the pictures with things that take on the colours of skin first."""
 
 
-class ClutteredBackgrounds:
-    """Lays things over a share of another source's backgrounds.
+class ClutteredBackgrounds(ChangedBackgrounds):
+    """Lays things over a share of another source's backgrounds."""
 
-    Args:
-        source: gives the backgrounds.
-        share: 0..1, of the backgrounds that get things.
-    """
+    change = "clutter"
 
-    def __init__(self, source: Backgrounds, share: float) -> None:
-        self.source, self.share = source, share
-        self.name = f"{source.name} + clutter {share:g}"
-
-    @property
-    def unreadable(self) -> Sequence[str]:
-        """See `Backgrounds.unreadable`."""
-        return self.source.unreadable
-
-    def sample(self, rng: np.random.Generator, camera: PinholeCamera) -> Background:
-        """A random background for a camera."""
-        background = self.source.sample(rng, camera)
-        if rng.random() >= self.share:
-            return background
-        picture = background.picture
+    def changed(self, picture: np.ndarray, rng: np.random.Generator, camera: PinholeCamera) -> np.ndarray:
+        """See `ChangedBackgrounds.changed`."""
         if rng.random() < SKIN_TONED:
             picture = skin_toned(picture, rng)
-        return Background(cluttered(picture, rng), background.surroundings)
+        return cluttered(picture, rng)
 
 
 def skin_toned(picture: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -7,41 +7,23 @@ photographs as they are.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import cv2
 import numpy as np
 
-from twohands.synth.backgrounds import Background, Backgrounds
+from twohands.synth.backgrounds import ChangedBackgrounds
 from twohands.types import PinholeCamera
 
 
-class RemixedBackgrounds:
-    """Remixes a share of another source's backgrounds: all of these are recoloured, half of them joined before.
+class RemixedBackgrounds(ChangedBackgrounds):
+    """Remixes a share of another source's backgrounds: all of these are recoloured, half of them joined before."""
 
-    Args:
-        source: gives the backgrounds.
-        share: 0..1, of the backgrounds that are remixed.
-    """
+    change = "remixed"
 
-    def __init__(self, source: Backgrounds, share: float) -> None:
-        self.source, self.share = source, share
-        self.name = f"{source.name} + remixed {share:g}"
-
-    @property
-    def unreadable(self) -> Sequence[str]:
-        """See `Backgrounds.unreadable`."""
-        return self.source.unreadable
-
-    def sample(self, rng: np.random.Generator, camera: PinholeCamera) -> Background:
-        """A random background for a camera."""
-        background = self.source.sample(rng, camera)
-        if rng.random() >= self.share:
-            return background
-        picture = background.picture
+    def changed(self, picture: np.ndarray, rng: np.random.Generator, camera: PinholeCamera) -> np.ndarray:
+        """See `ChangedBackgrounds.changed`."""
         if rng.random() < 0.5:
             picture = joined(picture, self.source.sample(rng, camera).picture, rng)
-        return Background(recoloured(picture, rng), background.surroundings)
+        return recoloured(picture, rng)
 
 
 def joined(picture: np.ndarray, other: np.ndarray, rng: np.random.Generator) -> np.ndarray:
