@@ -510,6 +510,31 @@ def test_a_hand_found_as_both_is_judged_by_the_whole_of_it():
     np.testing.assert_allclose(pose.left.joints_px, sample.joints_px[LEFT], atol=0.3)
 
 
+@pytest.mark.parametrize("scores", [0.9, 0.1])
+def test_a_hand_with_its_joints_nowhere_in_particular_is_none(scores):
+    """HandSegNet is sure, PoseNet2D's judge is not; the right hand's maps have the last word."""
+    sample = drawn_hands(2)
+    oracle = Oracle(sample, make_card())
+    estimator = judging(oracle, oracle.hand_seg_net)
+    locate, read_out = estimator.locate, estimator.read_out
+
+    def unsure(crops, truth):
+        return locate(crops, truth)[0], np.array([[12.0, 0.5][crop.side] for crop in crops])
+
+    def scored(heatmaps, crops, truth):
+        by_side = np.array([[1.0, scores][crop.side] for crop in crops])
+        return read_out(heatmaps, crops, truth)[0], np.repeat(by_side[:, None], 21, axis=1)
+
+    estimator.locate, estimator.read_out = unsure, scored
+    masks, boxes = estimator.segment(sample.image)
+    masks, boxes, look = estimator.find_joints(sample.image, masks, boxes, sample.camera)
+    there = [True, scores > 0.5]
+    assert boxes.present.tolist() == there and look.sides.tolist() == np.flatnonzero(there).tolist()
+    assert (boxes.scores > 0.5).tolist() == there and np.isfinite(boxes.boxes_px).all(axis=1).tolist() == there
+    assert [(masks == 1 + side).any() for side in (LEFT, RIGHT)] == there
+    np.testing.assert_array_equal(masks == 1 + LEFT, hand_masks(sample) == 1 + LEFT)
+
+
 def test_what_is_no_hand_is_refused():
     sample = drawn_hands(2)
     estimator = judging(Oracle(sample, make_card()), Oracle(sample, make_card()).hand_seg_net)

@@ -12,6 +12,7 @@ from twohands.inference.sides import (
     assign_sides,
     corrected_masks,
     in_one_place,
+    last_word,
 )
 
 NO = np.nan
@@ -86,6 +87,13 @@ def test_a_hand_that_was_there_before_needs_less_evidence_and_a_new_one_more():
     assert source.tolist() == [0, -1]
     np.testing.assert_allclose(values, [0.5 * MEMORY, NO])
     assert assign_sides(*doubtful, remembered=np.array([True, True]))[0].tolist() == [0, 1]
+
+
+def test_the_last_look_has_the_last_word():
+    """0.3 of what PoseNet2D takes back, and 4 for each unit of the joints' mean score beside 0.8."""
+    answer, first, last = np.full(4, 0.5), np.full(4, 1.0), np.array([1.0, -1.0, 1.0, 3.0])
+    scores = np.repeat([[0.8], [0.8], [0.6], [0.9]], 21, axis=1)
+    np.testing.assert_allclose(last_word(answer, first, last, scores), [0.5, -0.1, -0.3, 1.5])
 
 
 @pytest.mark.parametrize(("shift_px", "same"), [(9.0, True), (11.0, False)])

@@ -36,6 +36,7 @@ from twohands.geometry.segmentation import (
     certain_masks,
     hand_scores,
     letterbox,
+    log_odds,
     masks_from_logits,
     mean_of_looks,
     network_input,
@@ -51,6 +52,7 @@ from twohands.inference.sides import (
     assign_sides,
     corrected_masks,
     in_one_place,
+    last_word,
 )
 from twohands.inference.weights import DEFAULT_PRESET, PictureLook, WeightsCard, preset_folder, read_card
 from twohands.skeleton import LEFT, N_JOINTS, RIGHT, ROOT
@@ -243,9 +245,9 @@ class HandEstimator:
         truth: StageTruth = NO_TRUTH,
         remembered: np.ndarray | None = None,
     ) -> tuple[np.ndarray, HandBoxes, Look]:
-        """Stages 2 and 3: look at every box, decide whose hands they are (`inference.sides`), and look again where it
-        helps (`SECOND_LOOK_IOU`). With true boxes, maps or joints it looks just once, with a true `present` it does not
-        decide.
+        """Stages 2 and 3: look at every box, decide whose hands they are (`inference.sides`), look again where it
+        helps (`SECOND_LOOK_IOU`), and drop what is no hand after all. With true boxes, maps or joints it looks just
+        once, with a true `present` it does not decide.
 
         Args:
             image, masks: (H, W, 3) and (H, W).
@@ -261,7 +263,8 @@ class HandEstimator:
         if truth.boxes_px is not None or truth.heatmaps is not None or truth.joints_px is not None:
             return masks, boxes, look
         again = np.zeros(len(look.sides), bool)
-        if self.card.judge and truth.present is None:
+        judged = self.card.judge and truth.present is None
+        if judged:
             source, scores, look = self.judge(image, masks, boxes, look, camera, remembered)
             corrected = corrected_masks(masks, source, boxes.boxes_px) if truth.masks is None else masks
             again = (source[look.sides] != look.sides) | (corrected is not masks)
@@ -269,7 +272,7 @@ class HandEstimator:
             masks, boxes = corrected, HandBoxes(boxes_px, source >= 0, scores)
             if not len(look.sides):
                 return masks, boxes, look
-        boxes_px = boxes.boxes_px[look.sides]
+        first_logits, boxes_px = look.hand_logits, boxes.boxes_px[look.sides]
         found_px = joint_boxes(look.joints_px, image.shape[:2], boxes_px)
         again |= box_iou(boxes_px, found_px) < self.second_look_iou
         boxes.boxes_px[look.sides] = found_px
@@ -277,6 +280,15 @@ class HandEstimator:
             second = self.look(image, masks, boxes.boxes_px, look.sides[again], camera)
             look = look.replaced(np.flatnonzero(again), second)
             boxes.boxes_px[look.sides] = joint_boxes(look.joints_px, image.shape[:2], boxes_px)
+        if judged:
+            answer = log_odds(boxes.scores[look.sides])
+            answer = last_word(answer, first_logits, look.hand_logits, look.joint_scores)
+            boxes.scores[look.sides] = 1 / (1 + np.exp(-answer))
+            if (answer <= 0).any():
+                kept = np.where(np.isin([LEFT, RIGHT], look.sides[answer > 0]), [LEFT, RIGHT], -1)
+                masks = corrected_masks(masks, kept, boxes.boxes_px) if truth.masks is None else masks
+                boxes_px = np.where((kept >= 0)[:, None], boxes.boxes_px, np.nan)
+                boxes, look = HandBoxes(boxes_px, kept >= 0, boxes.scores), look.rows(np.flatnonzero(answer > 0))
         return masks, boxes, look
 
     def look(
