@@ -165,6 +165,12 @@ def test_the_command(tmp_path, capsys, bias, any_hand):
     assert [cv2.imread(str(sheet)).shape[0] for sheet in sheets] == [5 * 274, 274]
 
 
+def test_photographs_that_show_hands_are_left_out(tmp_path):
+    for name in ("two.jpg", "n07615774_ice_lolly.jpg", "one.png"):
+        (tmp_path / name).touch()
+    assert [path.name for path in real_hands.list_photos(tmp_path)] == ["one.png", "two.jpg"]
+
+
 def test_a_folder_without_photographs_is_refused(tmp_path):
     with pytest.raises(InputError, match="no photograph"):
         real_hands.list_photos(tmp_path)
