@@ -42,7 +42,7 @@ SCORE_WEIGHT: Final = 4.0
 """Log-odds for the mean score, 0..1, of a hand's joints in the last look at it, less `SCORE_MIDDLE`: the joints of what
 is no hand are nowhere in particular. Chosen on 4,384 hands in generated pictures and videos, of which it costs 10 (9 of
 the 693 of preset wild), and 114 places in photographs and procedural backgrounds that both networks of preset `fast`
-had taken for hands, of which 67 remain. 3 to 6 are alike."""
+had taken for hands, of which 67 remain; two videos of the test set gave the idea. 3 to 6 are alike."""
 SCORE_MIDDLE: Final = 0.8
 """Mean score that speaks neither for nor against a hand."""
 REMEMBERED_THRESHOLD: Final = 0.1
