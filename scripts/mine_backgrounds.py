@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -55,13 +56,12 @@ def opened(options: argparse.Namespace) -> Callable[[int], bool]:
     """What a process does with a number: look at a background, and write it if there is a hand to HandSegNet."""
     cv2.setNumThreads(1)
     estimator = HandEstimator.from_preset(options.weights, threads=1)
-    settings = DataConfig(**{**vars(SETTINGS), "backgrounds": ",".join(map(str, options.backgrounds))})
-    backgrounds = Kept(backgrounds_of(settings))
+    backgrounds = Kept(backgrounds_of(replace(SETTINGS, backgrounds=",".join(map(str, options.backgrounds)))))
     frames = []
     for folder in options.data:
         cache = FrameCache(folder, backgrounds, variants=20)
         single = np.flatnonzero(np.load(folder / "present.npy").sum(axis=1) == 1)
-        frames.append((cache, single, len(cache.indices)))
+        frames.append((cache, single))
     return partial(_mine, options, estimator, backgrounds, frames)
 
 
@@ -69,13 +69,13 @@ def _mine(
     options: argparse.Namespace,
     estimator: HandEstimator,
     backgrounds: Kept,
-    frames: list[tuple[FrameCache, np.ndarray, int]],
+    frames: list[tuple[FrameCache, np.ndarray]],
     number: int,
 ) -> bool:
     rng = np.random.default_rng([options.seed, number])
     if number % 2 and frames:
-        cache, single, count = frames[rng.integers(len(frames))]
-        sample = cache[int(rng.choice(single) + count * rng.integers(cache.variants))]
+        cache, single = frames[rng.integers(len(frames))]
+        sample = cache[int(rng.choice(single) + len(cache.indices) * rng.integers(cache.variants))]
         image, hands = sample.image, [hand_box(sample, side) for side in (LEFT, RIGHT)]
     else:
         camera = PinholeCamera.from_fov(rng.uniform(50, 110), *SIZE)

@@ -266,10 +266,9 @@ class HandEstimator:
         judged = self.card.judge and truth.present is None
         if judged:
             source, scores, look = self.judge(image, masks, boxes, look, camera, remembered)
-            corrected = corrected_masks(masks, source, boxes.boxes_px) if truth.masks is None else masks
+            corrected, boxes = _answered(masks, boxes, source, scores, truth)
             again = (source[look.sides] != look.sides) | (corrected is not masks)
-            boxes_px = np.where((source >= 0)[:, None], boxes.boxes_px[source], np.nan)
-            masks, boxes = corrected, HandBoxes(boxes_px, source >= 0, scores)
+            masks = corrected
             if not len(look.sides):
                 return masks, boxes, look
         first_logits, boxes_px = look.hand_logits, boxes.boxes_px[look.sides]
@@ -285,10 +284,9 @@ class HandEstimator:
             answer = last_word(answer, first_logits, look.hand_logits, look.joint_scores)
             boxes.scores[look.sides] = 1 / (1 + np.exp(-answer))
             if (answer <= 0).any():
-                kept = np.where(np.isin([LEFT, RIGHT], look.sides[answer > 0]), [LEFT, RIGHT], -1)
-                masks = corrected_masks(masks, kept, boxes.boxes_px) if truth.masks is None else masks
-                boxes_px = np.where((kept >= 0)[:, None], boxes.boxes_px, np.nan)
-                boxes, look = HandBoxes(boxes_px, kept >= 0, boxes.scores), look.rows(np.flatnonzero(answer > 0))
+                look = look.rows(np.flatnonzero(answer > 0))
+                source = np.where(np.isin([LEFT, RIGHT], look.sides), [LEFT, RIGHT], -1)
+                masks, boxes = _answered(masks, boxes, source, boxes.scores, truth)
         return masks, boxes, look
 
     def look(
@@ -468,6 +466,16 @@ def _check(image: np.ndarray, camera: PinholeCamera, hand_length_m: float | np.n
     lengths_m = np.asarray(hand_length_m, np.float64)
     if lengths_m.shape not in ((), (2,)) or not (np.isfinite(lengths_m) & (lengths_m > 0)).all():
         raise InputError(f"hand length must be a positive number of metres, got {hand_length_m}")
+
+
+def _answered(
+    masks: np.ndarray, boxes: HandBoxes, source: np.ndarray, scores: np.ndarray, truth: StageTruth
+) -> tuple[np.ndarray, HandBoxes]:
+    """Masks, true ones as they are, and boxes that agree with an answer of `assign_sides`."""
+    if truth.masks is None:
+        masks = corrected_masks(masks, source, boxes.boxes_px)
+    boxes_px = np.where((source >= 0)[:, None], boxes.boxes_px[source], np.nan)
+    return masks, HandBoxes(boxes_px, source >= 0, scores)
 
 
 def _true_boxes(truth: StageTruth) -> HandBoxes | None:
