@@ -8,7 +8,7 @@ import torch
 from tests.builders import make_sample
 
 from twohands.datasets.pose_targets import CropConfig, pose_target
-from twohands.skeleton import BONES, LEFT, RIGHT
+from twohands.skeleton import BONES, LEFT, RIGHT, ROOT
 from twohands.training import losses
 
 
@@ -181,3 +181,88 @@ def test_projection_loss_counts_x_and_y_only_and_stops_gradients():
     loss.backward()
     assert predicted.grad is not None and predicted.grad[0, 2, 2] == 0
     assert implied.grad is None
+
+
+def hands_seen_exactly(side: int, seeds: int = 6) -> tuple[torch.Tensor, ...]:
+    """Canonical pose, joints in crop pixels, rays and distance of hands as targets tell them."""
+    crops = CropConfig(kind="perspective", margin=2.0)  # all joints inside
+    targets = [pose_target(make_sample(np.random.default_rng(seed)), side, 128, crops) for seed in range(seeds)]
+    usable = [target for target in targets if target is not None and target.weight.all()]
+    assert len(usable) > 2
+    pose, pixels, rays = (
+        torch.from_numpy(np.stack([getattr(target, name) for target in usable]))
+        for name in ("canonical", "joints_px", "rays_from_crop")
+    )
+    return pose, pixels, rays, torch.tensor([target.distance for target in usable])
+
+
+def placed(pose, pixels, rays, distance, root_px, weight=None) -> torch.Tensor:
+    """`place_loss` with certain joints, all hands counted if nothing else is said."""
+    weight = torch.ones(len(pose)) if weight is None else weight
+    return losses.place_loss(pose, pixels, torch.ones(len(pose), 21), rays, root_px, distance, weight)
+
+
+@pytest.mark.parametrize("side", [LEFT, RIGHT])
+def test_place_loss_of_true_pose_and_joints_is_0(side):
+    pose, pixels, rays, distance = hands_seen_exactly(side)
+    assert placed(pose, pixels, rays, distance, pixels[:, ROOT]).item() == pytest.approx(0, abs=1e-4)
+
+
+def test_place_loss_is_the_relative_error_of_the_roots_place():
+    """Truly one and a half times as far away: a third of the distance is missing, along the root's ray."""
+    pose, pixels, rays, distance = hands_seen_exactly(LEFT)
+    ray = (rays @ torch.cat([pixels[:, ROOT], torch.ones(len(pose), 1)], dim=1)[..., None])[..., 0]
+    share = (ray / ray.norm(dim=1, keepdim=True)).abs().mean(dim=1)
+    loss = placed(pose, pixels, rays, 1.5 * distance, pixels[:, ROOT])
+    assert loss.item() == pytest.approx(float(share.mean()) / 3, abs=1e-4)
+    first = torch.zeros(len(pose))
+    first[0] = 1
+    alone = placed(pose, pixels, rays, 1.5 * distance, pixels[:, ROOT], first)
+    assert alone.item() == pytest.approx(float(share[0]) / 3, abs=1e-4)
+
+
+def test_place_loss_by_hand():
+    """Pixels are slopes: a hand found straight ahead at distance 3 is truly at (0.3, -0.6, 3), sqrt(9.45) away."""
+    pose, points = torch.zeros(1, 21, 3), torch.zeros(1, 21, 2)
+    pose[0, :, 0] = torch.linspace(-1, 1, 21)
+    pose[0, ROOT] = 0
+    points[0] = pose[0, :, :2] / 3
+    root_px, distance = torch.tensor([[0.1, -0.2]]), torch.tensor([9.45**0.5])
+    loss = placed(pose, points, torch.eye(3)[None], distance, root_px)
+    assert loss.item() == pytest.approx((0.3 + 0.6) / 3 / 9.45**0.5, abs=1e-5)
+
+
+def test_place_loss_survives_mixed_precision():
+    pose, pixels, rays, distance = hands_seen_exactly(LEFT)
+    exact = placed(pose, pixels, rays, 1.1 * distance, pixels[:, ROOT])
+    with torch.autocast("cpu", torch.bfloat16):
+        mixed = placed(pose, pixels, rays, 1.1 * distance, pixels[:, ROOT])
+    assert torch.equal(exact, mixed)
+
+
+def test_place_loss_teaches_pose_and_joints_but_not_scores():
+    pose, pixels, rays, distance = hands_seen_exactly(RIGHT)
+    scores = torch.ones(len(pose), 21, requires_grad=True)
+    root_px = pixels[:, ROOT].clone()
+    for learner in (pose, pixels):
+        learner.requires_grad_()
+    losses.place_loss(pose, pixels, scores, rays, root_px, 1.2 * distance, torch.ones(len(pose))).backward()
+    for learner in (pose, pixels):
+        assert learner.grad is not None and learner.grad.isfinite().all() and (learner.grad != 0).any()
+    assert scores.grad is None
+
+
+def test_place_loss_leaves_out_hands_that_cannot_be_placed():
+    """All joints of the first hand at one pixel; the second seen behind the camera."""
+    pose, pixels, rays, distance = hands_seen_exactly(LEFT)
+    root_px = pixels[:, ROOT].clone()
+    pixels[0] = pixels[0, ROOT].clone()
+    rays[1, 2] = -rays[1, 2]
+    for learner in (pose, pixels):
+        learner.requires_grad_()
+    loss = placed(pose, pixels, rays, distance, root_px)
+    loss.backward()
+    assert loss.item() == pytest.approx(0, abs=1e-4)
+    for learner in (pose, pixels):
+        assert learner.grad is not None and learner.grad.isfinite().all()
+    assert placed(pose, pixels, rays, distance, root_px, torch.zeros(len(pose))).item() == 0

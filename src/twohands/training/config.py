@@ -115,6 +115,8 @@ class LossConfig:
     """Weight of L_bone."""
     projection: float = 1.0
     """Weight of L_proj."""
+    place: float = 0.0
+    """Weight of L_place, the error of the place in the camera frame (ours)."""
     heatmap_along: float = 0.0
     """Stage pose_net_3d: weight of PoseNet2D's own loss while it is trained along."""
     judge: float = 1.0

@@ -13,13 +13,20 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from twohands.geometry.projection import canonical_xy_from_rays
+from twohands.geometry.projection import canonical_xy_from_rays, project_global, range_weights
 from twohands.geometry.rotation import rotate
-from twohands.skeleton import BONES
+from twohands.skeleton import BONES, ROOT
 from twohands.training.parallel import mean_over_processes
+from twohands.types import PinholeCamera
 
 PARENT_JOINTS = [parent for parent, _ in BONES]
 CHILD_JOINTS = [child for _, child in BONES]
+
+_SLOPES = PinholeCamera(1.0, 1.0, 0.0, 0.0, 1, 1)
+"""A camera whose pixels are the slopes x / z and y / z of the rays."""
+
+_LARGEST_PLACE_ERROR = 1.0
+"""Of an axis, in distances of the root, from which on a hand is lost and teaches nothing about its place."""
 
 
 def weighted_mean(values: Tensor, weight: Tensor) -> Tensor:
@@ -162,3 +169,41 @@ def projection_loss(
     Source: paper Eq. 2, SPEC 4.
     """
     return joint_loss(predicted[..., :2], implied_xy.detach(), weight, norm)
+
+
+def place_loss(
+    predicted: Tensor,
+    joints_px: Tensor,
+    scores: Tensor,
+    rays_from_crop: Tensor,
+    root_px: Tensor,
+    distance: Tensor,
+    weight: Tensor,
+) -> Tensor:
+    """L_place: mean over hands and 3 axes of |t_hat - t| / |t|, t the root joint's place in the camera frame.
+
+    Ours. t_hat is where `project_global` fits the hand in use, so both networks learn what their errors do to range
+    and direction together, not joint by joint. Gradients flow into the pose and the 2D joints.
+
+    Args:
+        predicted: (B, 21, 3) canonical pose.
+        joints_px: (B, 21, 2) crop pixels, estimated.
+        scores: (B, 21) certainty of the 2D joints, 0..1; no gradient flows into them.
+        rays_from_crop: (B, 3, 3), see `PoseTarget.rays_from_crop`.
+        root_px: (B, 2) crop pixels, true.
+        distance: (B,) r/L, true.
+        weight: (B,) 1 for hands that count. Hands that cannot be placed do not.
+    """
+    with torch.autocast(joints_px.device.type, enabled=False):  # 8 bits of a pixel are not enough
+        pixels = torch.cat([joints_px, root_px[:, None]], dim=1)
+        rays = rotate(rays_from_crop, torch.cat([pixels, torch.ones_like(pixels[..., :1])], dim=-1)).double()
+        rays, to_root = rays[:, :-1], rays[:, -1]
+        root = to_root * (distance / to_root.norm(dim=-1))[:, None]
+        forward = (rays[..., 2] > 0).all(dim=-1)
+        slopes = rays[..., :2] / torch.where(forward[:, None], rays[..., 2], 1.0)[..., None]
+        trust = range_weights(scores.detach().double())
+        place = project_global(predicted.double(), slopes, _SLOPES, 1.0, method="fitted", weights=trust)
+        off = (place.joints_m[:, ROOT] - root).abs() / distance.clamp_min(1e-6)[:, None]
+        placed = forward & place.valid
+        off = torch.where(placed[:, None], off, 0.0).clamp_max(_LARGEST_PLACE_ERROR)
+        return weighted_mean(off.mean(dim=-1).float(), weight * placed)

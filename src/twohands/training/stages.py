@@ -14,12 +14,18 @@ from torch.nn import functional
 
 from twohands.errors import InputError
 from twohands.geometry.boxes import apply_homography
-from twohands.geometry.heatmaps import decode_softargmax, decode_subpixel, encode_energy, encode_heatmaps
+from twohands.geometry.heatmaps import (
+    decode_softargmax,
+    decode_subpixel,
+    decode_windowed,
+    encode_energy,
+    encode_heatmaps,
+)
 from twohands.models.checkpoint import load_network, network_name
 from twohands.models.hand_seg_net import HandSegNet, HandSegNetConfig
 from twohands.models.pose_net_2d import PoseNet2D, PoseNet2DConfig
 from twohands.models.pose_net_3d import PoseNet3D, PoseNet3DConfig
-from twohands.skeleton import N_JOINTS
+from twohands.skeleton import N_JOINTS, ROOT
 from twohands.training import losses
 from twohands.training.batches import Batch
 from twohands.training.config import TrainConfig
@@ -263,7 +269,23 @@ class Pose3DStage(Stage):
             both = weight * batch["weight"] * implied.isfinite().all(dim=-1)
             implied = implied.nan_to_num()
             result["projection"] = loss.projection * losses.projection_loss(predicted, implied, both, norm)
+        if loss.place:
+            result["place"] = loss.place * self._place_loss(predicted, maps, batch)
         return result
+
+    def _place_loss(self, predicted: Tensor, maps: Tensor, batch: Batch) -> Tensor:
+        """`losses.place_loss` for the maps' joints as they are read and weighed in use."""
+        points, scores = decode_windowed(maps[:, :N_JOINTS].float())
+        net, distance = self.net_2d.config, batch["distance"]
+        return losses.place_loss(
+            predicted,
+            points * (net.crop_size / net.map_size),
+            scores,
+            batch["rays_from_crop"],
+            batch["joints_px"][:, ROOT],
+            distance,
+            (distance > 0).float() * batch["weight"][:, ROOT],
+        )
 
     def _ideal_maps(self, batch: Batch) -> Tensor:
         """Maps as a perfect PoseNet2D would give them, joints outside the crop empty."""
