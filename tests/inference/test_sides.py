@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from twohands.geometry.segmentation import log_odds
+from twohands.geometry.segmentation import log_odds, probability
 from twohands.inference.sides import (
     MEMORY,
     ONE_PLACE_COST,
@@ -24,6 +24,7 @@ SURE = [0.95, 0.95]
 def test_log_odds_by_hand():
     np.testing.assert_allclose(log_odds(np.array([0.5, 0.75, 0.1])), [0, np.log(3), -np.log(9)])
     assert np.isfinite(log_odds(np.array([0.0, 1.0]))).all()
+    np.testing.assert_allclose(probability(np.array([0, np.log(3), -np.log(9)])), [0.5, 0.75, 0.1])
 
 
 @pytest.mark.parametrize(

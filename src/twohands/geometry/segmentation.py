@@ -187,6 +187,11 @@ def log_odds(probabilities: np.ndarray) -> np.ndarray:
     return np.log(p / (1 - p))
 
 
+def probability(log_odds: np.ndarray) -> np.ndarray:
+    """1 / (1 + exp(-log_odds)), in the given precision."""
+    return 1 / (1 + np.exp(-log_odds))
+
+
 def hand_scores(energies: np.ndarray, seg_logits: np.ndarray) -> np.ndarray:
     """How sure HandSegNet is that each hand is there.
 
@@ -202,7 +207,7 @@ def hand_scores(energies: np.ndarray, seg_logits: np.ndarray) -> np.ndarray:
     """
     planes = np.ascontiguousarray(seg_logits, np.float32)
     leads = [float(np.max(planes[1 + side] - np.maximum(planes[0], planes[2 - side]))) for side in (0, 1)]
-    return 1 / (1 + np.exp(-(log_odds(energies.max(axis=(1, 2))) + leads) / 2))
+    return probability((log_odds(energies.max(axis=(1, 2))) + leads) / 2)
 
 
 def unmirrored(seg_logits: np.ndarray, energy_logits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -40,6 +40,7 @@ from twohands.geometry.segmentation import (
     masks_from_logits,
     mean_of_looks,
     network_input,
+    probability,
     unmirrored,
 )
 from twohands.inference.engine import Networks, load_networks
@@ -226,7 +227,7 @@ class HandEstimator:
             return place.content(seg_logits), place.content(energy_logits)
 
         def scored(maps: tuple[np.ndarray, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            seg_logits, energies = maps[0], 1.0 / (1.0 + np.exp(-maps[1]))
+            seg_logits, energies = maps[0], probability(maps[1])
             return seg_logits, energies, hand_scores(energies, seg_logits)
 
         first = look(PictureLook(self.card.seg_input_size))
@@ -282,7 +283,7 @@ class HandEstimator:
         if judged:
             answer = log_odds(boxes.scores[look.sides])
             answer = last_word(answer, first_logits, look.hand_logits, look.joint_scores)
-            boxes.scores[look.sides] = 1 / (1 + np.exp(-answer))
+            boxes.scores[look.sides] = probability(answer)
             if (answer <= 0).any():
                 look = look.rows(np.flatnonzero(answer > 0))
                 source = np.where(np.isin([LEFT, RIGHT], look.sides), [LEFT, RIGHT], -1)
@@ -345,7 +346,7 @@ class HandEstimator:
         source, answer = assign_sides(boxes.scores, own, turned, whole=whole, remembered=remembered)
         if whole is not None and (source >= 0).sum() == 1:
             looks |= {(side, side): alone.rows([side]) for side in (LEFT, RIGHT)}
-        scores = np.where(source >= 0, 1 / (1 + np.exp(-np.nan_to_num(answer))), boxes.scores)
+        scores = np.where(source >= 0, probability(np.nan_to_num(answer)), boxes.scores)
         remaining = [looks[side, source[side]] for side in np.flatnonzero(source >= 0)]
         return source, scores, Look.joined(remaining) if remaining else look.rows([])
 
