@@ -317,7 +317,7 @@ def recipe(name: RecipeName, stage: StageName) -> TrainConfig:
             smallest=0.95,
             largest=1.07,
             roll=60.0,
-            background=0.3,
+            background=0.4,
             min_joints=6,
         ),
         augment=AugmentConfig(
@@ -340,6 +340,7 @@ def recipe(name: RecipeName, stage: StageName) -> TrainConfig:
             joint=10.0,
             bone=5.0,
             projection=2.0,
+            place=5.0,
             heatmap_along=1.0,
             judge=2.5,
         ),
