@@ -222,9 +222,11 @@ def test_gradients_reach_pose_net_2d_through_the_maps(tmp_path):
     config = dataclasses.replace(config, loss=dataclasses.replace(config.loss, heatmap_along=0.0))
     stage = build_stage(config, pose_weights(tmp_path)).train()
     losses = stage(BatchDataset(SAMPLES, config)[0], 0)
-    assert set(losses) == {"joint", "bone", "projection"}
-    losses["joint"].backward()
-    assert max(float(p.grad.abs().max()) for p in stage.net_2d.net.parameters()) > 0
+    assert set(losses) == {"joint", "bone", "projection", "place"}
+    for name in ("joint", "place"):
+        stage.zero_grad()
+        losses[name].backward(retain_graph=True)
+        assert max(float(p.grad.abs().max()) for p in stage.net_2d.net.parameters()) > 0
 
 
 def test_pose_net_3d_needs_pose_net_2d(tmp_path):
