@@ -151,11 +151,12 @@ def decode_windowed(probs: Array) -> tuple[Array, Array]:
     cells = xp.arange(size, device=mass.device)
     near_u, near_v = (xp.abs(cells - peak[..., None]) <= WINDOW_RADIUS for peak in (columns, rows))  # (..., M)
     inside = xp.where(near_u[..., None, :] & near_v[..., :, None], mass, 0.0)
-    total = xp.clip(xp.sum(inside, axis=(-2, -1)), 1e-12, None)
+    held = xp.sum(inside, axis=(-2, -1))
+    total = xp.clip(held, 1e-12, None)
     centres = _cell_centres(xp, size, mass)
     u = xp.sum(inside, axis=-2) @ centres / total
     v = xp.sum(inside, axis=-1) @ centres / total
-    shares = xp.sum(inside, axis=(-2, -1)) / xp.clip(xp.sum(mass, axis=(-2, -1)), 1e-12, None)
+    shares = held / xp.clip(xp.sum(mass, axis=(-2, -1)), 1e-12, None)
     return xp.stack([u, v], axis=-1), shares
 
 

@@ -187,9 +187,9 @@ def log_odds(probabilities: np.ndarray) -> np.ndarray:
     return np.log(p / (1 - p))
 
 
-def probability(log_odds: np.ndarray) -> np.ndarray:
-    """1 / (1 + exp(-log_odds)), in the given precision."""
-    return 1 / (1 + np.exp(-log_odds))
+def probability(logits: np.ndarray) -> np.ndarray:
+    """1 / (1 + exp(-logits)), in the given precision: what has these `log_odds`."""
+    return 1 / (1 + np.exp(-logits))
 
 
 def hand_scores(energies: np.ndarray, seg_logits: np.ndarray) -> np.ndarray:

@@ -135,6 +135,11 @@ def bone_loss(predicted: Tensor, truth: Tensor, weight: Tensor, norm: Literal["m
     return weighted_mean(values, weight[:, CHILD_JOINTS] * weight[:, PARENT_JOINTS])
 
 
+def _rays(pixels: Tensor, rays_from_crop: Tensor) -> Tensor:
+    """Rays (B, N, 3) through crop pixels (B, N, 2), see `PoseTarget.rays_from_crop`."""
+    return rotate(rays_from_crop, torch.cat([pixels, torch.ones_like(pixels[..., :1])], dim=-1))
+
+
 def projected_joints(joints_px: Tensor, rays_from_crop: Tensor, distance: Tensor, canonical_z: Tensor) -> Tensor:
     """pi(p): x and y that 2D joints imply in the canonical frame, given the true distance and depths.
 
@@ -152,8 +157,7 @@ def projected_joints(joints_px: Tensor, rays_from_crop: Tensor, distance: Tensor
     Source: SPEC 4 (L_proj).
     """
     with torch.autocast(joints_px.device.type, enabled=False):  # 8 bits of a pixel are not enough
-        pixels = torch.cat([joints_px, torch.ones_like(joints_px[..., :1])], dim=-1)
-        return canonical_xy_from_rays(rotate(rays_from_crop, pixels), distance, canonical_z)
+        return canonical_xy_from_rays(_rays(joints_px, rays_from_crop), distance, canonical_z)
 
 
 def projection_loss(
@@ -195,8 +199,7 @@ def place_loss(
         weight: (B,) 1 for hands that count. Hands that cannot be placed do not.
     """
     with torch.autocast(joints_px.device.type, enabled=False):  # 8 bits of a pixel are not enough
-        pixels = torch.cat([joints_px, root_px[:, None]], dim=1)
-        rays = rotate(rays_from_crop, torch.cat([pixels, torch.ones_like(pixels[..., :1])], dim=-1)).double()
+        rays = _rays(torch.cat([joints_px, root_px[:, None]], dim=1), rays_from_crop).double()
         rays, to_root = rays[:, :-1], rays[:, -1]
         root = to_root * (distance / to_root.norm(dim=-1))[:, None]
         forward = (rays[..., 2] > 0).all(dim=-1)
