@@ -53,3 +53,26 @@ def test_a_worker_killed_in_the_middle_of_its_answer_is_noticed():
     for worker in workers:
         worker.join(10)
         assert not worker.is_alive()
+
+
+def interrupted_import():
+    signal.raise_signal(signal.SIGINT)
+    return open_picky
+
+
+class OpenerOfAnInterruptedImport:
+    """Ctrl-C comes while a worker unpickles it, as it imports what a worker needs."""
+
+    def __call__(self):
+        return open_picky()
+
+    def __reduce__(self):
+        return interrupted_import, ()
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="no signal masks")
+def test_an_interrupt_does_not_reach_a_worker_that_still_imports(capfd):
+    """Named case: Ctrl-C in the first second printed tracebacks of workers; who started them ends them."""
+    assert list(LocalProcesses(2).run(OpenerOfAnInterruptedImport(), range(4))) == list(range(4))
+    assert "Traceback" not in capfd.readouterr().err
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())

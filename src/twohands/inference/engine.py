@@ -16,6 +16,7 @@ import numpy as np
 
 from twohands.errors import CheckpointError
 from twohands.inference.int8 import quantise
+from twohands.inference.runtime import openvino_core
 from twohands.inference.weights import WeightsCard, network_files
 from twohands.skeleton import N_JOINTS
 
@@ -72,10 +73,9 @@ class OpenVinoNetwork:
         threads: int = 0,
         int8_peaks: Mapping[str, float] = NO_PEAKS,
     ) -> None:
-        import openvino
-
+        core = openvino_core()
         try:
-            model = openvino.Core().read_model(path)
+            model = core.read_model(path)
         except RuntimeError as error:
             raise CheckpointError(f"{path}: not a readable ONNX network") from error
         found_in = [_channels(port) for port in model.inputs]
@@ -88,7 +88,7 @@ class OpenVinoNetwork:
         quantise(model, int8_peaks)
         self._model = model
         self._compile = functools.partial(
-            openvino.compile_model,
+            core.compile_model,
             device_name="CPU",
             config={"PERFORMANCE_HINT": "LATENCY", "INFERENCE_NUM_THREADS": threads},
         )

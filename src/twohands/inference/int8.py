@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from twohands.errors import CheckpointError
+from twohands.inference.runtime import openvino_core
 
 ACTIVATION_LEVELS = 256
 WEIGHT_LEVELS = 255
@@ -31,12 +32,11 @@ def activation_peaks(path: Path, batches: Iterable[np.ndarray]) -> dict[str, flo
     Returns:
         Name of the ReLU in the file -> its peak, larger than 0; ReLUs that never let anything through are left out.
     """
-    import openvino
-
-    model = openvino.Core().read_model(path)
+    core = openvino_core()
+    model = core.read_model(path)
     rectified, own_outputs = _rectified(model), len(model.outputs)
     model.add_outputs([node.output(0) for node in rectified])
-    network = openvino.compile_model(model, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
+    network = core.compile_model(model, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
     outputs = network.outputs[own_outputs:]
     peaks = np.zeros(len(rectified))
     for batch in batches:
@@ -49,7 +49,7 @@ def quantise(model: Any, peaks: Mapping[str, float]) -> None:
     """Make a network round its activations and weights to 8 bits, in place.
 
     Args:
-        model: as `openvino.Core().read_model` gives it.
+        model: as `openvino.Core.read_model` gives it.
         peaks: of `activation_peaks`; activations beyond their peak are clipped.
 
     Raises:

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import islice
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnContext
 from typing import Any, Protocol, TypeVar
@@ -70,7 +71,8 @@ class LocalProcesses:
             return
         # Spawned, for a process that has held an OpenGL context does not survive a fork.
         context = multiprocessing.get_context("spawn")
-        crew = [_Worker(context, opener) for _ in range(self.workers)]
+        with _deaf_to_interrupts():
+            crew = [_Worker(context, opener) for _ in range(self.workers)]
         try:
             yield from _share_out(crew, indices)
         finally:
@@ -103,6 +105,20 @@ class _Worker:
             answer = self.pipe.recv()
         self.jobs -= 1
         return answer
+
+
+@contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Processes that start in the block never hear an interrupt, not even while they import, with a traceback."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    resource_tracker.ensure_running()  # else the first process starts it, and it lets interrupts through again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager

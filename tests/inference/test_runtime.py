@@ -1,0 +1,62 @@
+"""One OpenVINO core a process: signals after networks are gone, and networks on both sides of a fork."""
+
+import subprocess
+import sys
+
+import pytest
+from tests.oracles import write_tiny_weights
+
+OPEN = """
+import os, signal, sys
+from pathlib import Path
+import numpy as np
+from twohands.inference.engine import load_networks
+from twohands.inference.weights import read_card
+
+folder = Path(sys.argv[1])
+def opened():
+    return load_networks(folder, read_card(folder))
+def answer(networks):
+    return networks.hand_seg_net(np.zeros((1, 3, 32, 64), np.float32))[0].sum()
+"""
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory):
+    return write_tiny_weights(tmp_path_factory.mktemp("weights") / "tiny")
+
+
+def output_of(script, folder):
+    command = [sys.executable, "-c", OPEN + script, str(folder)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60)
+
+
+def test_a_signal_after_the_networks_are_gone(tiny):
+    """Named case: handlers ran on a stack that OpenVINO had freed, so that a training run died of a segmentation fault
+    when its workers ended, before its last checkpoint."""
+    script = """
+networks = [opened(), opened()]
+while networks:
+    del networks[0]
+signal.signal(signal.SIGTERM, lambda *_: print("told"))
+os.kill(os.getpid(), signal.SIGTERM)
+"""
+    run = output_of(script, tiny)
+    assert (run.returncode, run.stdout) == (0, "told\n"), run.stderr
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no fork")
+@pytest.mark.parametrize("parent", ["", "del before"], ids=["open", "closed"])
+def test_a_forked_process_opens_networks_of_its_own(tiny, parent):
+    """Its parent's threads are not there, whether they serve or wait for another network."""
+    script = f"""
+before = opened()
+expected = answer(before)
+{parent}
+child = os.fork()
+if not child:
+    os._exit(int(answer(opened()) != expected))
+sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+    run = output_of(script, tiny)
+    assert run.returncode == 0, run.stderr
