@@ -33,7 +33,6 @@ _SHORTEST_PX = 1e-6
 _SHORTEST_ACROSS = 1e-6
 """The same in 3D: distance from the root across its line of sight, canonical units."""
 
-
 _FINGER_WEIGHT = 0.25
 """Of a finger's joint beside 1 for wrist and knuckles: the palm is nearly rigid, so its joints are known best."""
 
@@ -126,7 +125,7 @@ def project_global(
         scale = _finite_or(xp, length, 1.0)[..., None]
         rays_cam = unproject(joints_px, camera)
         known, rays, theta, phi = _centred_rays(xp, rays_cam, angles)
-        slopes, in_front = _slopes(xp, rays)
+        slopes, _ = _slopes(xp, rays)
         key_bone, key_joint = _key_joint(xp, joints_px)
 
         if method == "keybone":
@@ -139,13 +138,11 @@ def project_global(
             observed = xp.all((known | (weight == 0)) & (weight >= 0), axis=-1)
         if method == "fitted":
             radius, theta, phi = _fitted(xp, rays_cam, pose * scale[..., None], scale, weight, (radius, theta, phi))
-            rays_cam = xp.where(known[..., None], rays_cam, 1.0)
-            _, in_front = _slopes(xp, rotate(rotation_from_angles(theta, phi), rays_cam))
 
         used = weight > 0
         across_px = xp.linalg.vector_norm(joints_px - joints_px[..., ROOT : ROOT + 1, :], axis=-1)
         across = xp.linalg.vector_norm(canonical[..., :2], axis=-1)
-        before_camera = in_front & (radius[..., None] + scale * pose[..., 2] > 0)
+        before_camera = _before_camera(xp, rays_cam, scale * pose[..., 2], radius, theta, phi)
         joints_m = camera_from_canonical(pose, scale[..., 0], radius, theta, phi)
         valid = (
             xp.all(xp.isfinite(canonical), axis=(-2, -1))
@@ -356,10 +353,21 @@ def _fitted(
         root = rotate(xp.matrix_transpose(to_centre), root)[..., 0, :]
         theta, phi = centring_angles(root)
         radius = xp.linalg.vector_norm(root, axis=-1)
-    _, in_front = _slopes(xp, rotate(rotation_from_angles(theta, phi), rays))
-    before_camera = xp.all((in_front & (radius[..., None] + joints[..., 2] > 0)) | ~known, axis=-1)
-    found = begun & xp.isfinite(radius + theta + phi) & (radius > 0) & before_camera
+    before_camera = _before_camera(xp, rays, joints[..., 2], radius, theta, phi)
+    found = begun & xp.isfinite(radius + theta + phi) & (radius > 0) & xp.all(before_camera | ~known, axis=-1)
     return tuple(xp.where(found, new, old) for new, old in zip((radius, theta, phi), start, strict=True))
+
+
+def _before_camera(xp: Any, rays: Array, along: Array, radius: Array, theta: Array, phi: Array) -> Any:
+    """Joints (..., 21) that are both seen and placed in front of the camera turned towards the root.
+
+    Args:
+        rays: (..., 21, 3) camera frame; one that is unknown points nowhere.
+        along: (..., 21) metres beyond the root along its line of sight.
+        radius, theta, phi: (...) of the root.
+    """
+    in_front = rotate(rotation_from_angles(theta, phi), rays)[..., 2] > 0
+    return in_front & (radius[..., None] + along > 0)
 
 
 def _finite_or(xp: Any, values: Array, fallback: float) -> Any:
