@@ -2,6 +2,7 @@
 
 import dataclasses
 import importlib
+import os
 import subprocess
 import sys
 import typing
@@ -92,6 +93,30 @@ def test_ctrl_c_is_exit_130_without_traceback(monkeypatch, capsys):
     fake_verb(monkeypatch, KeyboardInterrupt())
     assert main(["fake"]) == 130
     assert capsys.readouterr().err == "twohands: interrupted\n"
+
+
+@pytest.mark.parametrize("environment", [{}, {"PYTHONUNBUFFERED": "1"}])
+def test_a_reader_that_left_is_exit_141_without_a_word(environment):
+    """As for a program that SIGPIPE ends: what was to be done is not done."""
+    script = "import sys; from twohands.cli.main import main; sys.exit(main(['--help']))"
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run(
+        [sys.executable, "-c", script], stdout=writer, stderr=subprocess.PIPE, env=os.environ | environment, check=False
+    )
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (141, b"")
+
+
+def test_a_name_that_is_no_text_is_printed_all_the_same():
+    script = r"""
+import sys
+from twohands.cli import main as module
+module._run = lambda words: print(words[0]) or 0
+sys.exit(module.main(["caf\udce9.png"]))"""
+    environment = os.environ | {"PYTHONIOENCODING": "utf-8:strict"}
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, env=environment, check=False)
+    assert (done.returncode, done.stdout.split()) == (0, [rb"caf\udce9.png"]), done.stderr
 
 
 def test_a_missing_extra_is_named(monkeypatch, capsys):

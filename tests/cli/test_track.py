@@ -294,6 +294,15 @@ def test_a_folder_that_cannot_be_written_is_refused(picture, weights, tmp_path, 
     assert "no permission" in capsys.readouterr().err
 
 
+def test_a_folder_that_cannot_be_listed_is_refused(picture, weights, tmp_path, monkeypatch, capsys):
+    def forbidden(path):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "iterdir", forbidden)
+    assert run_track(picture, "--out", tmp_path, "--weights", weights) == 2
+    assert "cannot be read" in capsys.readouterr().err
+
+
 def test_a_failed_write_leaves_no_part_of_a_file(picture, weights, tmp_path, monkeypatch, capsys):
     def full(*_):
         raise OSError(28, "No space left on device")

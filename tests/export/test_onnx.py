@@ -11,7 +11,7 @@ from tests.training.tiny import NETWORKS
 from twohands.errors import CheckpointError, InputError
 from twohands.export import onnx
 from twohands.inference.engine import OpenVinoNetwork
-from twohands.inference.runtime import openvino_core
+from twohands.inference.runtime import open_core
 from twohands.inference.weights import read_card
 from twohands.models.checkpoint import load_network, network_name, read_note, save_network
 from twohands.models.pose_net_2d import PoseNet2D, PoseNet2DConfig
@@ -60,7 +60,7 @@ def preset(checkpoints, tmp_path_factory):
 
 
 def run(path, inputs: np.ndarray) -> dict[str, np.ndarray]:
-    core = openvino_core()
+    core = open_core()
     compiled = core.compile_model(core.read_model(path), "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
     result = compiled(inputs)
     return {port.get_any_name(): result[port] for port in compiled.outputs}

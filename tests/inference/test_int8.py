@@ -15,7 +15,7 @@ from twohands.errors import CheckpointError
 from twohands.geometry.segmentation import letterbox, masks_from_logits, network_input
 from twohands.inference.engine import OpenVinoNetwork, load_networks
 from twohands.inference.int8 import activation_peaks, quantise
-from twohands.inference.runtime import openvino_core
+from twohands.inference.runtime import open_core
 from twohands.inference.sources import list_images, read_image
 from twohands.inference.weights import DEFAULT_PRESET, preset_folder, read_card
 
@@ -39,7 +39,7 @@ def doubling_network():
 def test_values_after_a_relu_are_clipped_and_rounded_to_256_levels():
     model = doubling_network()
     quantise(model, {"rectified": 51.0})  # steps of 0.2
-    core = openvino_core()
+    core = open_core()
     network = core.compile_model(model, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
     found = network([np.array([[[[1.04, -1.0], [1.06, 40.0]]]], np.float32)])[0]
     # 2.08 -> 2.0, negative -> 0, 2.12 -> 2.2, 80 -> 51; the weight 3 is its own peak, which is a level
@@ -57,7 +57,7 @@ def test_peaks_are_the_largest_values_over_all_batches():
 
 
 def test_unknown_activations_are_refused(tiny):
-    model = openvino_core().read_model(tiny / "hand_seg_net.onnx")
+    model = open_core().read_model(tiny / "hand_seg_net.onnx")
     with pytest.raises(CheckpointError, match="int8 names 'other'"):
         quantise(model, {"other": 1.0})
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from tests.builders import CENTRED_CAMERA, open_hand
 
+from twohands.errors import InputError
 from twohands.geometry.camera import project, unproject
 from twohands.geometry.canonical import camera_from_canonical
 from twohands.geometry.rotation import centring_angles
@@ -179,6 +180,17 @@ def test_the_tracker_carries_no_hand_if_it_is_told_so():
 def test_a_hand_without_a_queue_is_carried_without_a_range():
     found = tracked([*LEAVING[-2:], ABSENT])[-1].left  # two radii predict nothing
     assert found.present and not found.valid and found.joints_m is None
+
+
+def test_a_frame_that_is_refused_leaves_no_trace():
+    """Named case: a time stamp that came twice counted as a pause, and the leaving hand was not carried on."""
+    tracker = HandTracker()
+    for i, hand in enumerate(LEAVING):
+        pose = TwoHandPose(hand, ABSENT, CENTRED_CAMERA, None, i, None)
+        tracker.update(pose)
+    with pytest.raises(InputError, match="does not follow"):
+        tracker.update(pose)
+    assert tracker.update(TwoHandPose(ABSENT, ABSENT, CENTRED_CAMERA, None, len(LEAVING), None)).left.present
 
 
 def test_the_tracker_forgets_leaving_hands_too():

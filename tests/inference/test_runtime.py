@@ -1,4 +1,4 @@
-"""One OpenVINO core a process: signals after networks are gone, and networks on both sides of a fork."""
+"""OpenVINO beside signals and forks."""
 
 import subprocess
 import sys
@@ -9,6 +9,7 @@ from tests.oracles import write_tiny_weights
 OPEN = """
 import os, signal, sys
 from pathlib import Path
+from threading import Thread
 import numpy as np
 from twohands.inference.engine import load_networks
 from twohands.inference.weights import read_card
@@ -31,13 +32,16 @@ def output_of(script, folder):
     return subprocess.run(command, capture_output=True, text=True, timeout=60)
 
 
-def test_a_signal_after_the_networks_are_gone(tiny):
+@pytest.mark.parametrize(
+    "close",
+    ["while networks: del networks[0]", "thread = Thread(target=networks.clear); thread.start(); thread.join()"],
+)
+def test_a_signal_after_the_networks_are_gone(tiny, close):
     """Named case: handlers ran on a stack that OpenVINO had freed, so that a training run died of a segmentation fault
     when its workers ended, before its last checkpoint."""
-    script = """
+    script = f"""
 networks = [opened(), opened()]
-while networks:
-    del networks[0]
+{close}
 signal.signal(signal.SIGTERM, lambda *_: print("told"))
 os.kill(os.getpid(), signal.SIGTERM)
 """

@@ -2,6 +2,7 @@
 
 import struct
 import zlib
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -210,3 +211,13 @@ def test_a_folder_without_images_is_refused(tmp_path):
         list_images(tmp_path)
     with pytest.raises(InputError, match="cannot be read"):
         list_images(tmp_path / "missing")
+
+
+def test_a_folder_that_may_be_listed_but_not_entered_is_refused(tmp_path, monkeypatch):
+    def forbidden(path):
+        raise PermissionError(13, "Permission denied")
+
+    (tmp_path / "a.png").touch()
+    monkeypatch.setattr(Path, "is_file", forbidden)
+    with pytest.raises(InputError, match="cannot be read: Permission denied"):
+        list_images(tmp_path)

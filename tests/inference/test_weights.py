@@ -76,6 +76,7 @@ def test_a_folder_is_taken_before_a_shipped_preset_of_its_name(tiny, tmp_path, m
         (lambda card: card["pose_net_2d"].update(heatmap_decode="guess"), "heatmap_decode must be one of"),
         (lambda card: card["hand_seg_net"].update(input_size=[48]), "card: "),
         (lambda card: card["hand_seg_net"].update(input_size=[0, 80]), "height, width"),
+        (lambda card: card["hand_seg_net"].update(input_size=[float("inf"), 80]), "card: "),
         (lambda card: card.update(hand_seg_net=3), "card: "),
         (lambda card: card.update(int8=["hand_seg_net"]), "card: "),
         (lambda card: card.update(int8={"hand_net": {}}), "int8 names unknown networks, hand_net"),
@@ -100,7 +101,7 @@ def test_a_bad_card_is_refused(copied, change, message):
         read_card(copied)
 
 
-def test_a_card_alone_runs_the_networks_of_the_preset_that_it_names(copied):
+def test_a_card_alone_runs_the_networks_of_the_preset_that_it_names(copied, monkeypatch):
     card = json.loads((copied / "card.json").read_text()) | {"name": "patient"}
     card["networks"] = dict.fromkeys(NETWORK_NAMES, copied.name)
     card["hand_seg_net"] |= {
@@ -112,6 +113,8 @@ def test_a_card_alone_runs_the_networks_of_the_preset_that_it_names(copied):
     alone.mkdir()
     (alone / "card.json").write_text(json.dumps(card))
     found = read_card(alone)
+    monkeypatch.chdir(alone)
+    assert read_card(Path(".")) == found  # named case: the folder beside "." was looked for in it
     assert found.further_looks == (PictureLook((64, 96)), PictureLook((32, 64), mirrored=True))
     assert (found.doubt, found.rolls_deg) == ((0, 1), (15, -15))
     assert read_card(copied).further_looks == (PictureLook((48, 80), mirrored=True),)

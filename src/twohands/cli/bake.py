@@ -13,7 +13,7 @@ class BakeArgs:
     """Arguments of `twohands bake`."""
 
     out: Path
-    """The .npz file to write; its folder must be empty or new."""
+    """The .npz file to write; it must not exist yet."""
     count: int = 1200
     """Adults sampled for the shape basis."""
     seed: int = 0

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import difflib
 import importlib
+import io
 import os
 import sys
 import typing
@@ -43,6 +44,8 @@ _EXTRA_OF_MODULE = {
 
 EXIT_USER_ERROR = 2
 EXIT_INTERRUPTED = 130
+EXIT_BROKEN_PIPE = 141
+"""As of programs that SIGPIPE ends."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -52,19 +55,18 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: arguments after the program's name; None for those of this process.
 
     Returns:
-        0 on success, 1 where `inspect` found problems, 2 where the user can mend what went wrong, 130 after Ctrl-C.
+        0 on success, 1 where `inspect` found problems, 2 where the user can mend what went wrong, 130 after Ctrl-C, 141
+        where the reader of the output left before its end.
     """
     words = list(sys.argv[1:] if argv is None else argv)
-    if not words or words[0] in ("-h", "--help"):
-        print(_help())
-        return 0
-    if words[0] == "--version":
-        print(f"twohands {__version__}")
-        return 0
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # file names are bytes, and need not be text
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # its decoders' complaints come out as our one line
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     try:
-        return _run_verb(words[0], words[1:])
+        code = _run(words)
+        sys.stdout.flush()
+        return code
     except TwoHandsError as error:
         return _fail(str(error))
     except ModuleNotFoundError as error:
@@ -77,10 +79,21 @@ def main(argv: Sequence[str] | None = None) -> int:
         return EXIT_INTERRUPTED
     except BrokenPipeError:  # whoever read our output, `head` say, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+        return EXIT_BROKEN_PIPE
 
 
-def _run_verb(verb: str, arguments: list[str]) -> int:
+def _run(words: Sequence[str]) -> int:
+    """Help, version or a verb."""
+    if not words or words[0] in ("-h", "--help"):
+        print(_help())
+    elif words[0] == "--version":
+        print(f"twohands {__version__}")
+    else:
+        return _run_verb(words[0], words[1:])
+    return 0
+
+
+def _run_verb(verb: str, arguments: Sequence[str]) -> int:
     """Import the verb's module, parse its arguments with tyro, run it."""
     if verb not in VERBS:
         close = difflib.get_close_matches(verb, VERBS, n=1)

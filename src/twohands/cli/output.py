@@ -26,7 +26,11 @@ def check_output_folder(folder: Path, *, overwrite: bool) -> None:
         raise InputError(f"output {folder}: {existing} is a file, not a folder; choose another --out")
     if not os.access(existing, os.W_OK | os.X_OK):
         raise InputError(f"output {folder}: no permission to write to {existing}; choose another --out")
-    if not overwrite and existing == folder and any(folder.iterdir()):
+    try:
+        taken = not overwrite and existing == folder and any(folder.iterdir())
+    except OSError as error:
+        raise InputError(f"output {folder}: cannot be read: {error.strerror}; choose another --out") from error
+    if taken:
         raise InputError(f"output {folder} is not empty; choose another --out, or allow it with --overwrite")
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from twohands.errors import CheckpointError
 from twohands.inference.int8 import quantise
-from twohands.inference.runtime import openvino_core
+from twohands.inference.runtime import open_core
 from twohands.inference.weights import WeightsCard, network_files
 from twohands.skeleton import N_JOINTS
 
@@ -73,7 +73,7 @@ class OpenVinoNetwork:
         threads: int = 0,
         int8_peaks: Mapping[str, float] = NO_PEAKS,
     ) -> None:
-        core = openvino_core()
+        core = open_core()
         try:
             model = core.read_model(path)
         except RuntimeError as error:

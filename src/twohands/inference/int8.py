@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from twohands.errors import CheckpointError
-from twohands.inference.runtime import openvino_core
+from twohands.inference.runtime import open_core
 
 ACTIVATION_LEVELS = 256
 WEIGHT_LEVELS = 255
@@ -32,7 +32,7 @@ def activation_peaks(path: Path, batches: Iterable[np.ndarray]) -> dict[str, flo
     Returns:
         Name of the ReLU in the file -> its peak, larger than 0; ReLUs that never let anything through are left out.
     """
-    core = openvino_core()
+    core = open_core()
     model = core.read_model(path)
     rectified, own_outputs = _rectified(model), len(model.outputs)
     model.add_outputs([node.output(0) for node in rectified])

@@ -1,28 +1,25 @@
-"""OpenVINO's entry point, opened once."""
+"""OpenVINO's entry point, so opened that signals stay harmless."""
 
 from __future__ import annotations
 
-import os
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
-from weakref import WeakValueDictionary
-
-_CORES: WeakValueDictionary[int, Any] = WeakValueDictionary()
-"""Of every process by its number."""
 
 
-def openvino_core() -> Any:
-    """The `openvino.Core` of this process, to be held by all that it opens; it closes with the last of them.
+def open_core() -> Any:
+    """A new `openvino.Core`, its CPU plugin loaded.
 
-    OpenVINO's CPU plugin gives the calling thread a stack for signal handlers and frees it with its core. Of several
-    cores the one closed last puts back a stack that is freed already, and the next signal (Ctrl-C, a child process that
-    ended) kills the process. `openvino.compile_model` opens a core with every call, so it is of no use here.
-
-    Closed it must be: a forked process can open OpenVINO only if no idle threads of its parent's are left behind. Nor
-    can it use its parent's core.
+    The plugin gives the thread that loads it a stack for signal handlers and frees it with the core, often without
+    taking it back: when another thread closes the core, or when of several cores not the newest goes first. The next
+    signal (Ctrl-C, a child process that ended) would then kill the process. So a thread loads it that ends at once.
     """
-    core = _CORES.get(os.getpid())
-    if core is None:
-        import openvino
+    with ThreadPoolExecutor(max_workers=1) as thread:
+        return thread.submit(_open).result()
 
-        core = _CORES[os.getpid()] = openvino.Core()
+
+def _open() -> Any:
+    import openvino
+
+    core = openvino.Core()
+    core.get_property("CPU", "FULL_DEVICE_NAME")  # loads the plugin
     return core

@@ -27,14 +27,13 @@ def list_images(folder: Path) -> list[Path]:
         InputError: the folder cannot be read or holds no image file.
     """
     try:
-        entries = list(folder.iterdir())
+        images = [
+            path
+            for path in folder.iterdir()
+            if path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith(".") and path.is_file()
+        ]
     except OSError as error:
         raise InputError(f"{folder}: cannot be read: {error.strerror}") from error
-    images = [
-        path
-        for path in entries
-        if path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith(".") and path.is_file()
-    ]
     if not images:
         raise InputError(f"{folder}: no image in this folder (looked for {', '.join(IMAGE_SUFFIXES)})")
     return sorted(images, key=lambda path: _natural_key(path.name))

@@ -191,11 +191,7 @@ class RangeFilter:
         Raises:
             InputError: time does not advance.
         """
-        if not (math.isfinite(time) and time > self._now):
-            raise InputError(
-                f"range smoothing: frame time {time} does not follow {self._now}; frames need increasing time_s or "
-                "index, and reset() comes before another video"
-            )
+        self.check_time(time)
         self._now = time
         if self._queue and time - self._queue[-1][0] > self.smoothing.max_gap_s:
             self._restart([])
@@ -213,6 +209,18 @@ class RangeFilter:
             self._restart(self._refused)
             return self._smoothed()
         return self.prediction(time)
+
+    def check_time(self, time: float) -> None:
+        """See whether a frame of this time may come next; changes nothing.
+
+        Raises:
+            InputError: time does not advance.
+        """
+        if not (math.isfinite(time) and time > self._now):
+            raise InputError(
+                f"range smoothing: frame time {time} does not follow {self._now}; frames need increasing time_s or "
+                "index, and reset() comes before another video"
+            )
 
     def prediction(self, time: float) -> float | None:
         """The queue's polynomial at another time; changes nothing.
@@ -303,12 +311,13 @@ class HandTracker:
             else is as it came: pixels, directions, and other absent hands altogether.
 
         Raises:
-            InputError: neither time nor index advances.
+            InputError: neither time nor index advances; the frame is then as if it had not come.
         """
         timed = pose.time_s is not None
         if timed != self._timed:
             self._start(timed)
         time = float(pose.index if pose.time_s is None else pose.time_s)
+        self._filters[0].check_time(time)
         left, right = (self._update(side, hand, time, pose.camera) for side, hand in enumerate(pose.hands))
         return replace(pose, left=left, right=right)
 

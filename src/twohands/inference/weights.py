@@ -169,7 +169,7 @@ class WeightsCard:
             )
         except KeyError as error:
             raise CheckpointError(f"card: key {error} is missing") from error
-        except (TypeError, ValueError, AttributeError) as error:
+        except (TypeError, ValueError, OverflowError, AttributeError) as error:
             raise CheckpointError(f"card: {error}") from error
 
 
@@ -253,7 +253,10 @@ def read_card(folder: Path) -> WeightsCard:
 
 def network_files(folder: Path, card: WeightsCard) -> dict[str, Path]:
     """Where the networks of a preset's folder are, by name; the files need not exist."""
-    homes = {name: folder.parent / card.networks[name] if name in card.networks else folder for name in NETWORK_NAMES}
+    homes = {
+        name: folder.resolve().parent / card.networks[name] if name in card.networks else folder
+        for name in NETWORK_NAMES
+    }
     return {name: home / f"{name}.onnx" for name, home in homes.items()}
 
 
