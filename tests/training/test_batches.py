@@ -10,7 +10,7 @@ from tests.builders import make_sample, make_samples
 from tests.training.tiny import NETWORKS, tiny_run
 
 from twohands.datasets.hand_views import cut_at_border, hand_box, hand_classes
-from twohands.datasets.pose_targets import Segmentation, crop_matrix
+from twohands.datasets.pose_targets import Segmentation, crop_matrix, false_hand, shows_other_hand
 from twohands.errors import InputError
 from twohands.geometry.segmentation import PERHAPS, certain_masks
 from twohands.models.checkpoint import save_network
@@ -137,6 +137,7 @@ def test_pictures_without_hands_show_another_ones_outlines():
     nobody = make_sample(np.random.default_rng(1), present=(False, False))
     source = [nobody, *SAMPLES]
     config = judging(tiny_run("pose_net_2d", batch_images=6), predicted=0.0)
+    config = dataclasses.replace(config, crop=dataclasses.replace(config.crop, roll=0.0))
     batch = BatchDataset(source, config)[0]
     assert batch["hand"].sum() == 10 and len(batch["hand"]) in (10, 12)  # the lot may fall on itself
     shares = [BatchDataset(source, config, rank, 2)[0] for rank in range(2)]
@@ -146,6 +147,45 @@ def test_pictures_without_hands_show_another_ones_outlines():
     box = hand_box(SAMPLES[0], 1)
     expected = crop_matrix(box, nobody.camera, 1, alone["image"].shape[1], config.crop)
     np.testing.assert_allclose(alone["image_from_crop"][1], expected, rtol=1e-5)
+
+
+def test_outlines_of_a_picture_of_another_size_are_scaled():
+    """Named case: they were left out, half of all where frames of two sizes are mixed."""
+    nobody = make_sample(np.random.default_rng(1), present=(False, False))
+    height, width = nobody.image.shape[:2]
+    large = dataclasses.replace(nobody, image=np.zeros((2 * height, 2 * width, 3), np.uint8), labels=None)
+    config = judging(tiny_run("pose_net_2d"), predicted=0.0)
+    config = dataclasses.replace(config, crop=dataclasses.replace(config.crop, roll=0.0))
+    batch = pose_batch([large], config, [np.random.default_rng(0)], None, {0: SAMPLES[0]})
+    size = batch["image"].shape[1]
+    assert batch["side"].tolist() == [0, 1] and not batch["hand"].any()
+    for side in (0, 1):
+        expected = crop_matrix(2 * hand_box(SAMPLES[0], side), large.camera, side, size, config.crop)
+        np.testing.assert_allclose(batch["image_from_crop"][side], expected, rtol=1e-5)
+
+
+def test_crops_without_hands_are_rolled_as_often_as_those_with():
+    """Named case: a rolled crop was always a hand, or one mirrored, and the judge could learn to tell by that."""
+    config = judging(tiny_run("pose_net_2d"), predicted=0.0)
+    nobody = make_sample(np.random.default_rng(1), present=(False, False))
+    samples, others = [nobody] * 40, dict.fromkeys(range(40), SAMPLES[0])
+    batch = pose_batch(samples, config, [np.random.default_rng(i) for i in range(40)], None, others)
+    upright = dataclasses.replace(config, crop=dataclasses.replace(config.crop, roll=0.0))
+    plain = pose_batch(samples, upright, [np.random.default_rng(i) for i in range(40)], None, others)
+    turned = (batch["image_from_crop"] - plain["image_from_crop"]).abs().amax(dim=(1, 2)) > 1e-3
+    assert config.crop.roll > 0 and len(turned) == 80 and 25 < int(turned.sum()) < 55
+    assert not batch["hand"].any()
+
+
+def test_a_rolled_crop_without_a_hand_shows_the_same_middle():
+    sample, crop = SAMPLES[0], tiny_run("pose_net_2d").crop
+    box, size = hand_box(sample, 0), 64
+    centre = np.array([size / 2, size / 2, 1.0])
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        target = false_hand(sample.image, hand_classes(sample.labels), box, sample.camera, 0, size, crop, rng=rng)
+        u, v, w = target.image_from_crop @ centre
+        assert np.linalg.norm([u / w, v / w] - (box[:2] + box[2:]) / 2) < 0.05 * (box[2:] - box[:2]).max()
 
 
 def test_a_network_without_a_judge_sees_hands_alone():
@@ -215,6 +255,22 @@ def test_crops_follow_the_predicted_boxes_and_masks(segmented_run):
     plain = pose_batch([sample], segmented_run, (), lambda images: [plain_masks])
     assert torch.equal(batch["joints_px"], plain["joints_px"])
     assert not torch.equal(batch["image"], plain["image"])
+
+
+def test_a_mask_of_the_other_hand_is_not_learnt_as_this_hands(segmented_run):
+    """Named case: where HandSegNet swaps close hands, the crop that lights up the right hand was the left one's."""
+    sample = SAMPLES[0]
+    both = np.concatenate([hand_box(sample, 0), hand_box(sample, 1)])
+    boxes = np.tile([both[[0, 4]].min(), both[[1, 5]].min(), both[[2, 6]].max(), both[[3, 7]].max()], (2, 1))
+    swapped = np.array([0, 2, 1], np.uint8)[hand_classes(sample.labels)]
+    answers = Segmentation(hand_classes(sample.labels), boxes), Segmentation(swapped, boxes)
+    assert [shows_other_hand(sample, side, answer) for answer in answers for side in (0, 1)] == [False] * 2 + [True] * 2
+    batch = pose_batch([sample], segmented_run, (), lambda images: [answers[1]])
+    true = pose_batch([sample], segmented_run, ())
+    assert batch["hand"].tolist() == [1.0, 1.0, 0.0, 0.0] and batch["side"].tolist() == [0, 1, 0, 1]
+    assert all(torch.equal(values[:2], true[name]) for name, values in batch.items())
+    unlabelled = dataclasses.replace(sample, labels=None)
+    assert not shows_other_hand(unlabelled, 0, answers[1])
 
 
 def test_the_share_of_predicted_crops_is_as_asked(segmented_run):

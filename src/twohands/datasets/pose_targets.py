@@ -155,7 +155,7 @@ def pose_target(
         crop: kind of crop, jitter, and which hands to leave out.
         photometric, masks: training changes, used only with `rng`.
         predicted: HandSegNet's masks and boxes, to be used instead of the true ones: as they are, without `masks` and
-            without the jitter of `crop`. A hand that it missed keeps the true ones.
+            without the jitter of `crop`. A hand that it missed or took for the other one keeps the true ones.
         rng: source of randomness; None gives the plain, centred crop.
 
     Returns:
@@ -177,7 +177,8 @@ def pose_target(
     seen = rolled_box(joints_px, (height, width), unrolled, known)
     if min(seen[2:] - seen[:2]) < 2:
         return None
-    if predicted is not None and box_iou(box, predicted.boxes_px[side]) > LEAST_OVERLAP:
+    overlap = 0.0 if predicted is None else box_iou(box, predicted.boxes_px[side])
+    if predicted is not None and overlap > LEAST_OVERLAP and not shows_other_hand(sample, side, predicted):
         seen = _like(seen, box, predicted.boxes_px[side], unrolled)
         rolled_from_crop = crop_matrix(seen, sample.camera, side, size, crop)
     else:
@@ -216,6 +217,18 @@ def pose_target(
     )
 
 
+def shows_other_hand(sample: HandSample, side: int, predicted: Segmentation) -> bool:
+    """Whether a hand's predicted mask covers more of the other hand than of this one. Hands that are not segmented in
+    the labels are not known to."""
+    if sample.labels is None:
+        return False
+    u0, v0, u1, v1 = np.nan_to_num(predicted.boxes_px[side]).clip(0).astype(int)
+    part = np.s_[v0 : v1 + 1, u0 : u1 + 1]
+    shown = hand_classes(sample.labels[part])[predicted.classes[part] == side + 1]
+    own, other = ((shown == hand + 1).sum() for hand in (side, 1 - side))
+    return bool(other > own)
+
+
 def false_hand(
     image: np.ndarray,
     classes: np.ndarray,
@@ -228,7 +241,7 @@ def false_hand(
     photometric: PhotometricConfig | None = None,
     rng: np.random.Generator | None = None,
 ) -> PoseTarget:
-    """A crop cut where no hand of that side is, for PoseNet2D's judge.
+    """A crop cut where no hand of that side is, for PoseNet2D's judge; rolled as often as those of hands.
 
     Args:
         image: (H, W, 3) uint8 RGB.
@@ -241,7 +254,10 @@ def false_hand(
         photometric: training changes, used only with `rng`.
         rng: source of randomness.
     """
-    image_from_crop = crop_matrix(box_px, camera, side, size, crop)
+    rolled_camera = random_roll(crop.roll, rng)
+    unrolled = image_from_rolled(camera, rolled_camera)
+    rolled = rolled_box(_ellipse(box_px), image.shape[:2], unrolled)
+    image_from_crop = unrolled @ crop_matrix(rolled, camera, side, size, crop)
     shown = warp_image(image, image_from_crop, size, interpolation="linear")
     masks = warp_image(classes, image_from_crop, size, interpolation="nearest")
     return _without_hand(_composed(shown, masks, side, crop, photometric, rng), image_from_crop, side)
@@ -280,6 +296,13 @@ def _composed(
     if rng is not None and photometric is not None:
         image = jitter_colours(image, photometric, rng)
     return compose_hand_input(image, classes, np.eye(3), side, len(image), crop.background)
+
+
+def _ellipse(box_px: np.ndarray) -> np.ndarray:
+    """Points (16, 2) on the ellipse that touches the sides of a box."""
+    angles = np.arange(16) * (np.pi / 8)
+    half = (box_px[2:] - box_px[:2]) / 2
+    return box_px[:2] + half * (1 + np.stack([np.cos(angles), np.sin(angles)], axis=-1))
 
 
 def _like(rolled_box: np.ndarray, box: np.ndarray, predicted: np.ndarray, unrolled: np.ndarray) -> np.ndarray:

@@ -21,7 +21,14 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, Sampler
 
 from twohands.datasets.hand_views import cut_at_border, hand_box, hand_classes
-from twohands.datasets.pose_targets import PoseTarget, Segmentation, false_hand, mirrored_hand, pose_target
+from twohands.datasets.pose_targets import (
+    PoseTarget,
+    Segmentation,
+    false_hand,
+    mirrored_hand,
+    pose_target,
+    shows_other_hand,
+)
 from twohands.datasets.segmentation_targets import segmentation_target
 from twohands.errors import InputError, TwoHandsError
 from twohands.geometry.boxes import box_iou
@@ -278,14 +285,20 @@ def _false_hands(
     config: TrainConfig,
     rng: np.random.Generator | None,
 ) -> list[PoseTarget]:
-    """Crops where no such hand is: what HandSegNet invented, and the outlines of another picture's hands."""
+    """Crops where no such hand is: what HandSegNet invented or took for the other hand, and the outlines of another
+    picture's hands."""
     found: list[tuple[int, np.ndarray, np.ndarray]] = []
     for side, answer in enumerate(seen):
-        if answer is not None and not sample.present[side] and np.isfinite(answer.boxes_px[side]).all():
+        if answer is None or not np.isfinite(answer.boxes_px[side]).all():
+            continue
+        if not sample.present[side] or shows_other_hand(sample, side, answer):
             found.append((side, answer.classes, answer.boxes_px[side]))
-    if other is not None and other.labels is not None and other.labels.shape == sample.image.shape[:2]:
+    if other is not None and other.labels is not None:
+        size_px = sample.image.shape[1::-1]
+        classes = cv2.resize(hand_classes(other.labels), size_px, interpolation=cv2.INTER_NEAREST)
+        scale = np.tile(np.divide(size_px, other.labels.shape[::-1]), 2)
         boxes = [(side, hand_box(other, side)) for side in (LEFT, RIGHT)]
-        found += [(side, hand_classes(other.labels), box) for side, box in boxes if box is not None]
+        found += [(side, classes, box * scale) for side, box in boxes if box is not None]
     size, photometric = config.networks.pose_net_2d.crop_size, config.augment.photometric
     return [
         false_hand(sample.image, classes, box, sample.camera, side, size, config.crop, photometric=photometric, rng=rng)

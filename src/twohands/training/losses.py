@@ -25,8 +25,11 @@ CHILD_JOINTS = [child for _, child in BONES]
 _SLOPES = PinholeCamera(1.0, 1.0, 0.0, 0.0, 1, 1)
 """A camera whose pixels are the slopes x / z and y / z of the rays."""
 
+_PLACE_UNIT = 5.0
+"""Of L_place, in hand lengths: about 45 cm, a hand's usual distance."""
+
 _LARGEST_PLACE_ERROR = 1.0
-"""Of an axis, in distances of the root, from which on a hand is lost and teaches nothing about its place."""
+"""Of an axis, in that unit, from which on a hand is lost and teaches nothing about its place."""
 
 
 def weighted_mean(values: Tensor, weight: Tensor) -> Tensor:
@@ -184,10 +187,11 @@ def place_loss(
     distance: Tensor,
     weight: Tensor,
 ) -> Tensor:
-    """L_place: mean over hands and 3 axes of |t_hat - t| / |t|, t the root joint's place in the camera frame.
+    """L_place: mean over hands and 3 axes of |t_hat - t| / (5 L), t the root joint's place in the camera frame.
 
     Ours. t_hat is where `project_global` fits the hand in use, so both networks learn what their errors do to range
-    and direction together, not joint by joint. Gradients flow into the pose and the 2D joints.
+    and direction together, not joint by joint. A centimetre counts the same near and far. Gradients flow into the pose
+    and the 2D joints.
 
     Args:
         predicted: (B, 21, 3) canonical pose.
@@ -206,7 +210,7 @@ def place_loss(
         slopes = rays[..., :2] / torch.where(forward[:, None], rays[..., 2], 1.0)[..., None]
         trust = range_weights(scores.detach().double())
         place = project_global(predicted.double(), slopes, _SLOPES, 1.0, method="fitted", weights=trust)
-        off = (place.joints_m[:, ROOT] - root).abs() / distance.clamp_min(1e-6)[:, None]
+        off = (place.joints_m[:, ROOT] - root).abs() / _PLACE_UNIT
         placed = forward & place.valid
         off = torch.where(placed[:, None], off, 0.0).clamp_max(_LARGEST_PLACE_ERROR)
         return weighted_mean(off.mean(dim=-1).float(), weight * placed)

@@ -266,7 +266,7 @@ class Pose3DStage(Stage):
             implied = losses.projected_joints(
                 read_out(self.net_2d, maps), batch["rays_from_crop"], batch["distance"], truth[..., 2]
             )
-            both = weight * batch["weight"] * implied.isfinite().all(dim=-1)
+            both = weight * batch["weight"] * batch["weight"][:, ROOT, None] * implied.isfinite().all(dim=-1)
             implied = implied.nan_to_num()
             result["projection"] = loss.projection * losses.projection_loss(predicted, implied, both, norm)
         if loss.place:
