@@ -58,6 +58,23 @@ def test_flip_equals_the_mirrored_picture():
     assert np.allclose(a.boxes_px, b.boxes_px, atol=1e-4)
 
 
+def test_a_hand_is_there_while_a_joint_of_it_is():
+    """Named case: with less than a fifth of its box inside it was absent after a change, though not before one."""
+    original, few = sample(), 0
+    for seed in range(60):
+        shift = ZoomConfig(shift=0.8)
+        found = segmentation_target(original, 135, 240, zoom=shift, rng=np.random.default_rng(seed))
+        rng = np.random.default_rng(seed)
+        rng.uniform()  # the scale
+        moved = original.joints_px + rng.uniform(-0.8, 0.8, 2) * [240, 135]
+        inside = ((moved > 0) & (moved < [240, 135])).all(axis=-1)
+        assert found.present.tolist() == inside.any(axis=1).tolist()
+        few += int(((inside.sum(axis=1) > 0) & (inside.sum(axis=1) < 4)).sum())
+        boxes = np.concatenate([moved.min(axis=1), moved.max(axis=1)], axis=1).clip(0, [240, 135] * 2)
+        np.testing.assert_allclose(found.boxes_px, boxes * found.present[:, None], atol=1e-3)
+    assert few > 3
+
+
 @pytest.mark.parametrize("roll", [0.0, 70.0])
 def test_zoomed_boxes_stay_on_the_hands(roll):
     original = sample()

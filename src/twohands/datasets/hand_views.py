@@ -11,7 +11,7 @@ from twohands.geometry.rotation import rotation_about_z
 from twohands.types import HandSample
 
 LEAST_INSIDE = 0.2
-"""A hand of whose box a change has left less than this in the picture counts as absent."""
+"""A hand of whose box less than this is in the picture is none to look at more closely."""
 MOST_CUT = 0.4
 """Largest share of a picture's width and height that `cut_at_border` takes away."""
 KEPT = (-0.2, 0.7)
@@ -41,9 +41,24 @@ def hand_points(sample: HandSample) -> np.ndarray:
     return np.where(known[..., None], np.clip(points, 0, [width, height]), np.nan)
 
 
+def kept_inside(points: np.ndarray, inside: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+    """Hands after a change of what the picture shows.
+
+    Args:
+        points: (N, K, 2) joints as `hand_points` gives them, in pixels of the new picture.
+        inside: (N, K) bool, those that were in the picture before.
+        width, height: of the new picture.
+
+    Returns:
+        The joints, moved into the new picture, NaN for a hand of which none is in it; and which are, (N, K).
+    """
+    inside = inside & inside_picture(points, width, height)
+    return np.where(inside.any(axis=1)[:, None, None], np.clip(points, 0, [width, height]), np.nan), inside
+
+
 def boxes_inside(points: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
     """Tight boxes of hands (N, K, 2), clipped to the picture, (N, 4), 0 for a hand of which less than 2 pixels or
-    `LEAST_INSIDE` of its box are inside; and whether there is one, (N,)."""
+    `LEAST_INSIDE` of its box are inside; and whether that much is, (N,)."""
     whole = np.asarray(box_from_points(points))
     inside = np.clip(whole, 0, [width, height, width, height])
     sizes, whole_sizes = inside[:, 2:] - inside[:, :2], whole[:, 2:] - whole[:, :2]

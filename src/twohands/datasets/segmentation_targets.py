@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from twohands.datasets.hand_views import boxes_inside, hand_classes, hand_points, random_roll
+from twohands.datasets.hand_views import boxes_inside, hand_classes, hand_points, kept_inside, random_roll
 from twohands.datasets.transforms import PhotometricConfig, jitter_colours, nearest_cells
 from twohands.errors import DataFormatError, InputError
+from twohands.geometry.boxes import box_in_picture, inside_picture
 from twohands.geometry.segmentation import LETTERBOX_GREY, letterbox
 from twohands.types import HandSample
 
@@ -58,7 +59,7 @@ class SegmentationTarget:
         image: (H, W, 3) uint8 RGB at network size, fitted in as for inference (`geometry.segmentation.letterbox`).
         classes: (H, W) uint8, 0 background, 1 left, 2 right; the forearm belongs to its hand (SPEC 2).
         boxes_px: (2, 4) float32 u0, v0, u1, v1 in pixels of `image`, clipped to it; 0 for an absent hand.
-        present: (2,) bool.
+        present: (2,) bool: any joint is inside, and any of the hand was to be seen before the changes.
     """
 
     image: np.ndarray
@@ -92,8 +93,9 @@ def segmentation_target(
     image, labels, points = sample.image, sample.labels, hand_points(sample)
     seen = hand_classes(labels)
     points[[not (seen == 1 + side).any() for side in range(len(points))]] = np.nan
+    inside = inside_picture(np.where(np.isfinite(points), sample.joints_px, np.nan), *image.shape[1::-1])
     if rng is not None and zoom is not None and zoom.cut > 0 and rng.random() < zoom.cut:
-        image, labels, points = _cut(image, labels, points, rng)
+        image, labels, points, inside = _cut(image, labels, points, inside, rng)
     full_height, full_width = image.shape[:2]
     image, place = letterbox(image, (height, width))
     scale = np.array([place.width * width / full_width, place.height * height / full_height])
@@ -105,18 +107,19 @@ def segmentation_target(
     points = points * scale + corner
     if rng is not None:
         if zoom is not None:
-            image, classes, points = _zoomed(image, classes, points, zoom, rng)
+            image, classes, points, inside = _zoomed(image, classes, points, inside, zoom, rng)
         if photometric is not None:
             image = jitter_colours(image, photometric, rng)
     border = classes == OUTSIDE
     image[border], classes[border] = LETTERBOX_GREY, 0
-    boxes, present = boxes_inside(points, width, height)
-    return SegmentationTarget(image, classes, boxes.astype(np.float32), present)
+    boxes = np.asarray(box_in_picture(points, width, height))
+    present = inside.any(axis=1) & ((boxes[:, 2:] - boxes[:, :2]).min(axis=1) > 0)
+    return SegmentationTarget(image, classes, np.where(present[:, None], boxes, 0).astype(np.float32), present)
 
 
-def _cut(image, labels, points, rng: np.random.Generator):
+def _cut(image, labels, points, inside, rng: np.random.Generator):
     """A narrower part of the picture, with most of one of its hands inside if there is one; returns the picture, labels
-    and joints, NaN for a hand that is hardly inside."""
+    and, see `kept_inside`, joints."""
     height, full_width = labels.shape
     narrowest = min(NARROWEST, full_width / height)
     width = min(round(height * np.exp(rng.uniform(np.log(narrowest), np.log(full_width / height)))), full_width)
@@ -124,16 +127,13 @@ def _cut(image, labels, points, rng: np.random.Generator):
     box = _one_box(points, full_width, height, rng)
     centre = anywhere if box is None else box[[0, 2]].mean()
     left = int(np.clip(centre - width * rng.uniform(0.25, 0.75), 0, full_width - width))
-    points = points - [left, 0]
-    _, present = boxes_inside(points, width, height)
-    points = np.where(present[:, None, None], np.clip(points, 0, [width, height]), np.nan)
     columns = slice(left, left + width)
-    return image[:, columns], labels[:, columns], points
+    return image[:, columns], labels[:, columns], *kept_inside(points - [left, 0], inside, width, height)
 
 
-def _zoomed(image, classes, points, config: ZoomConfig, rng: np.random.Generator):
+def _zoomed(image, classes, points, inside, config: ZoomConfig, rng: np.random.Generator):
     """Scale about the centre, shift, perhaps flip (swapping left and right), perhaps turn; the edge goes on outside, so
-    that arms that leave the picture are not cut off. Returns the picture, classes and joints."""
+    that arms that leave the picture are not cut off. Returns the picture, classes and, see `kept_inside`, joints."""
     height, width = classes.shape
     scale = 2.0 ** rng.uniform(-config.zoom, config.zoom)
     shift = rng.uniform(-config.shift, config.shift, 2) * [width, height]
@@ -155,8 +155,8 @@ def _zoomed(image, classes, points, config: ZoomConfig, rng: np.random.Generator
     points = points @ linear.T + matrix[:, 2]
     if flip:
         classes = np.array([0, 2, 1, OUTSIDE], np.uint8)[np.asarray(classes, np.uint8)]
-        points = points[::-1]
-    return image, classes, points
+        points, inside = points[::-1], inside[::-1]
+    return image, classes, *kept_inside(points, inside, width, height)
 
 
 def _one_box(points, width: int, height: int, rng: np.random.Generator) -> np.ndarray | None:
