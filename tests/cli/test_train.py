@@ -3,6 +3,8 @@
 import dataclasses
 import json
 import shutil
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -55,6 +57,16 @@ def test_a_run_and_its_resume(hand_made_data, tmp_path, capsys):
     assert "4 iterations" in capsys.readouterr().out
     kept = json.loads((tmp_path / "run" / "config.json").read_text())
     assert kept["networks"]["hand_seg_net"]["height"] == 64 and kept["batch_images"] == 2
+
+
+def test_synthetic_data_with_workers_and_validation(tmp_path):
+    """Named case: with its default settings it waited for ever; `validation_batches` says why."""
+    pytest.importorskip("moderngl")
+    words = ["--data", "synthetic", "--workers", "2", "--batch", "2", "--iterations", "2", "--max-minutes", "0"]
+    run = ["train", "hand_seg_net", "--out", str(tmp_path / "run"), *words, "--set", "data.validation=2", *SETTINGS]
+    done = subprocess.run([sys.executable, "-m", "twohands", *run], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert "2 held out" in done.stdout and "miou" in done.stdout
 
 
 def test_mistakes_are_one_line(tmp_path, capsys):

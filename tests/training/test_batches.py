@@ -1,6 +1,7 @@
 """Batches are a pure function of (source, config, step)."""
 
 import dataclasses
+import multiprocessing
 from pathlib import Path
 
 import numpy as np
@@ -323,6 +324,33 @@ def test_validation_is_plain_and_whole():
     assert sum(len(batch["image"]) for batch in batches) == 10
     again = validation_batches(SAMPLES, tiny_run("pose_net_2d", seed=7))
     assert all(equal(a, b) for a, b in zip(batches, again, strict=True))
+
+
+def test_validation_pictures_are_never_opened_by_the_process_that_forks_workers():
+    """Named case: it rendered them, and its workers hung, for a renderer does not survive a fork."""
+
+    class Seen(list):
+        def __getitem__(self, index):
+            assert multiprocessing.parent_process() is not None
+            return super().__getitem__(index)
+
+    config = tiny_run("pose_net_2d")
+    alone = validation_batches(SAMPLES, config)
+    config = dataclasses.replace(config, data=dataclasses.replace(config.data, workers=2))
+    helped = validation_batches(Seen(SAMPLES), config)
+    assert all(equal(a, b) for a, b in zip(alone, helped, strict=True))
+
+
+def test_a_validation_picture_that_cannot_be_used_is_said():
+    class Damaged(list):
+        def __getitem__(self, index):
+            raise InputError("a.png: not an image")
+
+    for workers in (0, 1):
+        config = tiny_run("pose_net_2d")
+        config = dataclasses.replace(config, data=dataclasses.replace(config.data, workers=workers))
+        with pytest.raises(InputError, match=r"^a.png: not an image$"):
+            validation_batches(Damaged(SAMPLES), config)
 
 
 def test_split_and_ranges():

@@ -389,7 +389,7 @@ class BatchDataset(Dataset[Batch]):
 class TimedBatches(Dataset[tuple[float, Batch | TwoHandsError]]):
     """Batches, each with the seconds that it took to make; in place of one that cannot be made, what is wrong."""
 
-    def __init__(self, dataset: BatchDataset) -> None:
+    def __init__(self, dataset: Dataset[Batch]) -> None:
         self.dataset = dataset
 
     def __getitem__(self, step: int) -> tuple[float, Batch | TwoHandsError]:
@@ -416,27 +416,57 @@ class StepsFrom(Sampler[int]):
 
 def batch_loader(dataset: BatchDataset, start: int) -> DataLoader[tuple[float, Batch | TwoHandsError]]:
     """Loads the batches of the steps from `start` on, in order, ahead of their use, as `TimedBatches` does."""
-    workers = dataset.config.data.workers
-    return DataLoader(
-        TimedBatches(dataset),
-        batch_size=None,
-        sampler=StepsFrom(start, len(dataset)),
-        num_workers=workers,
-        prefetch_factor=4 if workers else None,
-        worker_init_fn=_calm_worker,
-        collate_fn=_unchanged,
-    )
+    return _loader(dataset, StepsFrom(start, len(dataset)), dataset.config.data.workers)
+
+
+class HeldOutBatches(Dataset[Batch]):
+    """Maps a number to a batch of held-out pictures, unchanged, in order."""
+
+    def __init__(
+        self, source: SampleSource, config: TrainConfig, open_segmentation: OpenSegmentation = Segmenter
+    ) -> None:
+        self.source, self.size = source, max(config.batch_images, 16)
+        self.build = BatchBuilder(config, open_segmentation)
+
+    def __len__(self) -> int:
+        return -(-len(self.source) // self.size)
+
+    def __getitem__(self, number: int) -> Batch:
+        start = number * self.size
+        return self.build([self.source[i] for i in range(start, min(start + self.size, len(self.source)))], ())
 
 
 def validation_batches(
     source: SampleSource, config: TrainConfig, open_segmentation: OpenSegmentation = Segmenter
 ) -> list[Batch]:
-    """All held-out pictures, unchanged, in order; kept in memory because they are used again and again."""
-    size = max(config.batch_images, 16)
-    build = BatchBuilder(config, open_segmentation)
-    starts = range(0, len(source), size)
-    batches = (build([source[i] for i in range(start, min(start + size, len(source)))], ()) for start in starts)
-    return [batch for batch in batches if len(batch["image"])]
+    """All held-out pictures, unchanged, in order; kept in memory because they are used again and again.
+
+    A worker makes them if there are to be any: renderer and OpenVINO do not survive a fork, so this process, from which
+    the workers of the training are forked, must not open them.
+
+    Raises:
+        TwoHandsError: a picture cannot be used.
+    """
+    dataset = HeldOutBatches(source, config, open_segmentation)
+    kept = []
+    for _, batch in _loader(dataset, StepsFrom(0, len(dataset)), min(1, config.data.workers)):
+        if isinstance(batch, TwoHandsError):
+            raise batch
+        if len(batch["image"]):
+            kept.append({name: values.clone() for name, values in batch.items()})  # the worker's memory goes back
+    return kept
+
+
+def _loader(dataset: Dataset[Batch], steps: StepsFrom, workers: int) -> DataLoader[tuple[float, Batch | TwoHandsError]]:
+    return DataLoader(
+        TimedBatches(dataset),
+        batch_size=None,
+        sampler=steps,
+        num_workers=workers,
+        prefetch_factor=4 if workers else None,
+        worker_init_fn=_calm_worker,
+        collate_fn=_unchanged,
+    )
 
 
 def _calm_worker(_: int) -> None:
