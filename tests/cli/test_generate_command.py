@@ -148,6 +148,9 @@ def test_another_run_is_not_touched(tmp_path, capsys):
 def test_frames_take_no_backgrounds(tmp_path, capsys):
     assert main(["generate", "frames", "--out", str(tmp_path / "c"), "--split", "test"]) == 2
     assert "frames have no background" in one_line(capsys)
+    for width in ("0", "500"):
+        assert main(["generate", "frames", "--out", str(tmp_path / "c"), "--frame-width", width]) == 2
+        assert f"--frame-width must be a multiple of 16, got {width}" in one_line(capsys)
 
 
 @pytest.mark.slow
@@ -187,7 +190,7 @@ def test_rate_and_time_left_count_this_run_only():
 
 def test_given_intrinsics_shrink_with_the_frames():
     """Named case: those of 960x540 pictures were kept for frames of 480x270."""
-    config = _at_frame_size(SynthConfig(width=960, height=540, intrinsics=(400.0, 410.0, 480.0, 270.0)))
+    config = _at_frame_size(SynthConfig(width=960, height=540, intrinsics=(400.0, 410.0, 480.0, 270.0)), 480)
     assert (config.width, config.height) == (480, 270)
     assert config.intrinsics == (200.0, 205.0, 240.0, 135.0)
-    assert _at_frame_size(SynthConfig()).intrinsics is None
+    assert _at_frame_size(SynthConfig(), 480).intrinsics is None

@@ -16,7 +16,7 @@ from twohands.training.config import StageName, TrainConfig, recipe
 from twohands.types import PinholeCamera
 
 LONGER_SIDE = 480
-"""Of the rendered frames, pixels; the networks' inputs are smaller still."""
+"""Of the rendered frames, pixels: quick, but crops of distant hands are enlarged."""
 FRAMES_PER_MINUTE = 100
 """Frames rendered per minute of training; each is seen on several backgrounds."""
 LEAST_FRAMES = 40
