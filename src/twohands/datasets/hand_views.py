@@ -53,7 +53,8 @@ def kept_inside(points: np.ndarray, inside: np.ndarray, width: int, height: int)
         The joints, moved into the new picture, NaN for a hand of which none is in it; and which are, (N, K).
     """
     inside = inside & inside_picture(points, width, height)
-    return np.where(inside.any(axis=1)[:, None, None], np.clip(points, 0, [width, height]), np.nan), inside
+    left = np.any(inside, axis=1, keepdims=True)[..., None]
+    return np.where(left, np.clip(points, 0, [width, height]), np.nan), inside
 
 
 def boxes_inside(points: np.ndarray, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:

@@ -38,6 +38,8 @@ def generated_pictures() -> Iterator[HandSample]:
 def add_int8(folder: Path, pictures: Iterable[HandSample]) -> None:
     """Let the large networks of a preset run in 8 bits: measure their activations and write the peaks on the card.
 
+    Networks that it takes of another preset keep the peaks that the card has for them.
+
     Args:
         folder: of the preset; its card is replaced.
         pictures: like those to come.
@@ -47,14 +49,15 @@ def add_int8(folder: Path, pictures: Iterable[HandSample]) -> None:
     """
     path = folder / "card.json"
     card = json.loads(path.read_text(encoding="utf-8"))
-    card.pop("int8", None)
     estimator = HandEstimator.from_preset(folder)
+    kept = {name: peaks for name, peaks in card.get("int8", {}).items() if name in estimator.card.networks}
     inputs: dict[str, list[np.ndarray]] = {name: [] for name in NETWORKS}
     recorders = {name: _recorded(getattr(estimator.networks, name), inputs[name]) for name in NETWORKS}
     estimator.networks = replace(estimator.networks, **recorders)
     for picture in pictures:
         estimator.estimate(picture.image, picture.camera)
-    card["int8"] = {name: activation_peaks(folder / f"{name}.onnx", inputs[name]) for name in NETWORKS}
+    own = [name for name in NETWORKS if name not in estimator.card.networks]
+    card["int8"] = kept | {name: activation_peaks(folder / f"{name}.onnx", inputs[name]) for name in own}
     partial = folder / "card.json.partial"
     partial.write_text(json.dumps(card, indent=2) + "\n", encoding="utf-8")
     os.replace(partial, path)
