@@ -23,16 +23,19 @@ STAGES: tuple[StageName, ...] = ("hand_seg_net", "pose_net_2d", "pose_net_3d")
 STEPS = 3
 SEED = 7
 """Deals the hands out unevenly: 3 and 1, 2 and none, 3 and 2."""
-PRESENT = [(True, True), (False, False), (False, True), (False, False), (True, True), (True, False), (False, False)]
-"""Hands of the pictures: with 2 processes and 4 pictures a step, some parts of a batch have none."""
+SHOWN = [(True, True), (False, False), (False, True), (False, False), (True, True), (True, False), (False, False)]
+"""Hands in the pictures: with 2 processes and 4 pictures a step, some parts of a batch have none."""
 
 
 def pictures() -> list:
-    """The training pictures; those without hands have a size of their own, so that no other's outlines fit them."""
-    return [
-        make_sample(np.random.default_rng(i), width=240 if any(present) else 256, present=present)
-        for i, present in enumerate(PRESENT)
-    ]
+    """The training pictures; where no hand is shown both are beside the picture, so that no other picture's outlines
+    are laid over it."""
+    found = []
+    for i, shown in enumerate(SHOWN):
+        sample = make_sample(np.random.default_rng(i), present=shown if any(shown) else (True, True))
+        beside = 0 if any(shown) else [1e4, 0]
+        found.append(dataclasses.replace(sample, joints_px=sample.joints_px + beside))
+    return found
 
 
 def config(stage: StageName) -> TrainConfig:
