@@ -13,7 +13,6 @@ from twohands.datasets.distributions import (
     heat_map,
     palm_normal,
     skin_tone_deg,
-    visible_fraction,
 )
 from twohands.datasets.ego3dhands import Ego3DHands
 from twohands.skeleton import LEFT, RIGHT, part_label
@@ -78,16 +77,6 @@ def test_overlap_of_boxes():
     assert box_overlap(box, box + np.array([2.0, 0.0])) == pytest.approx(4 / 12)
     assert box_overlap(box, box + np.array([4.0, 0.0])) == 0
     assert box_overlap(box, box + np.array([9.0, 9.0])) == 0
-
-
-def test_visible_fraction_counts_joints_on_their_own_hand():
-    labels = np.zeros((10, 10), np.uint8)
-    labels[:, :5] = part_label(LEFT, 2)
-    labels[:, 5:] = part_label(RIGHT, 0)
-    points = np.array([[1.0, 1.0], [4.9, 9.9], [5.0, 1.0], [-1.0, 2.0]])
-    assert visible_fraction(points, labels, LEFT) == 0.5
-    assert visible_fraction(points, labels, RIGHT) == 0.25
-    assert np.isnan(visible_fraction(points, None, LEFT))
 
 
 def test_skin_tone_orders_light_before_dark():

@@ -6,15 +6,9 @@ import numpy as np
 import pytest
 from tests.datasets.drawn import sample
 
-from twohands.datasets.hand_views import MOST_CUT, boxes_inside, cut_at_border, hand_box, hand_classes
+from twohands.datasets.hand_views import MOST_CUT, boxes_inside, cut_at_border, hand_box
 from twohands.geometry.camera import project
 from twohands.skeleton import LEFT, RIGHT
-
-
-def test_hand_classes_put_the_arm_with_its_hand():
-    labels = np.array([[0, 1, 2, 7, 8, 9, 14]], np.uint8)
-    assert hand_classes(labels).tolist() == [[0, 1, 1, 1, 2, 2, 2]]
-    assert hand_classes(labels).dtype == np.uint8
 
 
 def test_hand_box_is_tight_and_clipped_to_the_picture():

@@ -8,11 +8,12 @@ import pytest
 from tests.datasets.drawn import mirrored, sample
 
 from twohands.datasets import pose_targets
-from twohands.datasets.hand_views import hand_box, hand_classes
+from twohands.datasets.hand_views import hand_box
 from twohands.datasets.pose_targets import CropConfig, PoseTarget, Segmentation, crop_matrix, pose_target
 from twohands.datasets.transforms import MaskConfig, PhotometricConfig
 from twohands.errors import InputError
 from twohands.geometry.boxes import apply_homography
+from twohands.geometry.part_labels import hand_classes
 from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
 
 PAPER_CROP = CropConfig()

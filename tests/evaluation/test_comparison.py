@@ -10,7 +10,7 @@ from twohands.errors import InputError
 from twohands.evaluation.breakdown import breakdowns
 from twohands.evaluation.comparison import Protocol, compare, covered_share, sequences
 from twohands.evaluation.protocols import evaluate, metrics_of
-from twohands.skeleton import LEFT
+from twohands.skeleton import LEFT, RIGHT, part_label
 from twohands.types import HandPose, HandSample, TwoHandPose
 
 NAN = np.nan
@@ -117,8 +117,8 @@ def test_parts_add_up() -> None:
         return pose if pose.left.joints_px is None else replace(pose, left=HandPose(present=False))
 
     comparison = compare(predictions_for(estimate), SAMPLES)
-    by_distance, by_overlap, by_side = breakdowns(comparison)
-    for table in (by_distance, by_overlap, by_side):
+    by_distance, by_overlap, by_view, by_side = breakdowns(comparison)
+    for table in (by_distance, by_overlap, by_view, by_side):
         assert sum(part.hands for part in table.parts) == 5
         assert np.nansum([part.values["missed"] for part in table.parts]) == 3
     assert [part.name for part in by_side.parts] == ["left", "right"]
@@ -126,6 +126,23 @@ def test_parts_add_up() -> None:
     assert by_distance.parts[0].values["missed"] == 3 and np.isnan(by_distance.parts[0].values["cs_mpjpe"])
     assert by_distance.parts[1].values["cs_mpjpe"] == pytest.approx(0, abs=1e-9)
     assert {part.name for part in by_overlap.parts} >= {"alone in the picture"}
+
+
+def test_parts_by_joints_in_view() -> None:
+    """Sample 0's left hand keeps 10 of its joints' pixels, its right hand all; without part labels nothing is known."""
+    sample = SAMPLES[0]
+    labels = np.full((540, 960), part_label(RIGHT, 1), np.uint8)
+    row = np.stack([np.arange(21), np.zeros(21)], axis=-1)
+    joints_px = np.array([[100.5, 100.5], [600.5, 300.5]])[:, None] + row
+    labels[100, 100:110] = part_label(LEFT, 3)
+    cut = replace(sample, joints_px=joints_px, labels=labels)
+    comparison = compare(predictions_for(samples=[cut]), [cut])
+    np.testing.assert_allclose(comparison.visible, [[10 / 21, 1]])
+    table = next(table for table in breakdowns(comparison) if table.key == "joints in view")
+    assert [(part.name, part.hands) for part in table.parts] == [("25-50 %", 1), ("over 75 %", 1)]
+    unlabelled = replace(cut, labels=None)
+    comparison = compare(predictions_for(lambda _: perfect_pose(cut), [unlabelled]), [unlabelled])
+    assert "joints in view" not in [table.key for table in breakdowns(comparison)]
 
 
 def test_all_hands_kept_changes_no_hand_metric() -> None:

@@ -28,9 +28,6 @@ class TestPresenceAndBoxes:
 
 
 class TestSegmentation:
-    def test_arms_belong_to_their_hand(self) -> None:
-        np.testing.assert_array_equal(m.hand_masks(np.arange(15)), [0, 1, 1, 1, 1, 1, 1, 1, 2, 2, 2, 2, 2, 2, 2])
-
     def test_overlap_counts(self) -> None:
         predicted = np.array([[0, 1, 1, 2], [0, 0, 1, 2]])
         truth = np.array([[0, 1, 2, 2], [0, 1, 1, 0]])

@@ -10,9 +10,10 @@ import torch
 from tests.builders import make_sample, make_samples
 from tests.training.tiny import NETWORKS, tiny_run
 
-from twohands.datasets.hand_views import cut_at_border, hand_box, hand_classes
+from twohands.datasets.hand_views import cut_at_border, hand_box
 from twohands.datasets.pose_targets import Segmentation, crop_matrix, false_hand, shows_other_hand
 from twohands.errors import InputError
+from twohands.geometry.part_labels import hand_classes
 from twohands.geometry.segmentation import PERHAPS, certain_masks
 from twohands.models.checkpoint import save_network
 from twohands.models.presets import build_network

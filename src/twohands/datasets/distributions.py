@@ -5,12 +5,14 @@ All of them come from labels and pictures alone, so that generated and official 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
 
 from twohands.datasets.ego3dhands import Ego3DHandsInstance
+from twohands.geometry.part_labels import visible_share
 from twohands.skeleton import FINGERS, LEFT, LITTLE_MCP, PART_NAMES, RIGHT, ROOT, WRIST
 
 INDEX_MCP = 5
@@ -69,15 +71,15 @@ class Measurements:
         """Takes the values of an instance; hands without 3D labels count in the 2D values only."""
         self._instances += 1
         joints_px, joints_m = instance.joints_px[:, 1:], instance.joints_m[:, 1:]  # (2, 21, ...)
-        size = np.array([instance.camera.width, instance.camera.height])
+        labels, size = instance.labels, np.array([instance.camera.width, instance.camera.height])
         for side in (LEFT, RIGHT):
             if not instance.present[side]:
                 continue
             self._sides[side] += 1
             self._heat += heat_map(joints_px[side] / size)
             hand: dict[str, float | np.ndarray] = {
-                "visible": visible_fraction(joints_px[side], instance.labels, side),
-                "skin_ita_deg": skin_tone_deg(instance.image, instance.labels, side),
+                "visible": math.nan if labels is None else visible_share(joints_px[side], labels, side),
+                "skin_ita_deg": skin_tone_deg(instance.image, labels, side),
             }
             if np.isfinite(joints_m[side]).all():
                 hand |= hand_values(joints_m[side], side)
@@ -162,18 +164,6 @@ def box_overlap(one_px: np.ndarray, two_px: np.ndarray) -> float:
     common = float(np.prod(np.maximum(high - low, 0)))
     whole = float(np.prod(np.ptp(one_px, axis=0)) + np.prod(np.ptp(two_px, axis=0))) - common
     return common / whole if whole > 0 else 0.0
-
-
-def visible_fraction(joints_px: np.ndarray, labels: np.ndarray | None, side: int) -> float:
-    """Share of a hand's (21, 2) joints whose pixel shows a part of the same arm, 0..1; NaN without labels."""
-    if labels is None:
-        return float("nan")
-    height, width = labels.shape
-    u, v = np.floor(joints_px).astype(int).T
-    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
-    shown = labels[v[inside], u[inside]].astype(int)
-    first = 1 + side * len(PART_NAMES)
-    return float(np.count_nonzero((shown >= first) & (shown < first + len(PART_NAMES))) / len(joints_px))
 
 
 def skin_tone_deg(image: np.ndarray, labels: np.ndarray | None, side: int) -> float:

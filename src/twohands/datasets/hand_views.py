@@ -18,11 +18,6 @@ KEPT = (-0.2, 0.7)
 """Range of the share of a hand's box that it leaves in the picture; below 0 only the arm may be left."""
 
 
-def hand_classes(labels: np.ndarray) -> np.ndarray:
-    """Part labels 0..14 -> classes 0 background, 1 left, 2 right, same shape, uint8."""
-    return ((labels > 0).astype(np.uint8) + (labels > 7)).astype(np.uint8)
-
-
 def hand_box(sample: HandSample, side: int) -> np.ndarray | None:
     """Tight box of a hand's labelled 2D joints, clipped to the picture.
 

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from twohands.datasets.hand_views import hand_box, hand_classes, random_roll
+from twohands.datasets.hand_views import hand_box, random_roll
 from twohands.datasets.transforms import MaskConfig, PhotometricConfig, jitter_colours, spoil_masks
 from twohands.errors import InputError
 from twohands.geometry.boxes import (
@@ -23,6 +23,7 @@ from twohands.geometry.boxes import (
 from twohands.geometry.camera import intrinsic_matrix
 from twohands.geometry.canonical import canonical_from_camera
 from twohands.geometry.composition import compose_hand_input
+from twohands.geometry.part_labels import hand_classes
 from twohands.skeleton import N_JOINTS, RIGHT, ROOT, WRIST
 from twohands.types import HandSample, PinholeCamera
 

@@ -1,4 +1,5 @@
-"""The same metrics over parts of a data set: by distance from the camera, by overlap of the hands, by side."""
+"""The same metrics over parts of a data set: by distance from the camera, by overlap of the hands, by how
+much of a hand is in view, by side."""
 
 from __future__ import annotations
 
@@ -14,6 +15,7 @@ from twohands.evaluation.protocols import metrics_of
 
 RANGE_EDGES_M: Final = (0.0, 0.3, 0.4, 0.5, 0.6, 0.8, np.inf)
 OVERLAP_EDGES: Final = (0.0, 0.25, 0.5, np.inf)
+VISIBLE_EDGES: Final = (0.0, 0.25, 0.5, 0.75, np.inf)
 
 COLUMNS: Final[tuple[tuple[str, str, str], ...]] = (
     ("missed", "missed", ""),
@@ -67,7 +69,8 @@ class Breakdown:
 
 
 def breakdowns(comparison: Comparison) -> tuple[Breakdown, ...]:
-    """Tables by range, overlap and side; parts without any hand are left out."""
+    """Tables by range, overlap, joints in view and side; parts without any hand, and tables without any part, are left
+    out."""
     range_m, overlap = comparison.range_m, comparison.overlap
     alone = comparison.present & ~comparison.present[:, ::-1]
     together = comparison.present & ~alone
@@ -79,12 +82,18 @@ def breakdowns(comparison: Comparison) -> tuple[Breakdown, ...]:
         (f"box covered {_between(low, high, 100, '%')}", together & (overlap > low) & (overlap <= high))
         for low, high in pairwise(OVERLAP_EDGES)
     ]
+    visible = [
+        (_between(low, high, 100, "%"), (comparison.visible >= low) & (comparison.visible < high))
+        for low, high in pairwise(VISIBLE_EDGES)
+    ]
     left = np.broadcast_to([True, False], comparison.present.shape)
-    return (
+    tables = (
         Breakdown("distance", "By distance of the root joint", _parts(comparison, ranges)),
         Breakdown("overlap", "By overlap with the other hand's box", _parts(comparison, overlaps)),
+        Breakdown("joints in view", "By the share of a hand's joints that are in view", _parts(comparison, visible)),
         Breakdown("side", "By side", _parts(comparison, [("left", left), ("right", ~left)])),
     )
+    return tuple(table for table in tables if table.parts)
 
 
 def _parts(comparison: Comparison, groups: list[tuple[str, m.BoolArray]]) -> tuple[Part, ...]:

@@ -18,6 +18,7 @@ from twohands.evaluation import metrics as m
 from twohands.evaluation.predictions import Fingerprint, Predictions
 from twohands.geometry.boxes import box_in_picture, box_iou
 from twohands.geometry.canonical import cartesian_alignment, spherical_alignment
+from twohands.geometry.part_labels import hand_classes, visible_share
 from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
 from twohands.types import HandSample
 
@@ -58,6 +59,7 @@ class Comparison:
         judged: (N, 2) bool, hands whose presence can be right or wrong.
         range_m: (N, 2) true distance of the root joint; NaN where unknown.
         overlap: (N, 2) share of the hand's true box that the other hand's box covers, 0..1; NaN where unknown.
+        visible: (N, 2) share of the hand's joints that are in view (`part_labels.visible_share`); NaN where unknown.
         box_iou: (N, 2) overlap of predicted and true box; NaN without either.
         joints_px: (N, 2, 21) 2D error, pixels at a width of 480.
         spherical_mm, cartesian_mm: (N, 2, 21) error of the canonical pose at the true hand length, by alignment.
@@ -77,6 +79,7 @@ class Comparison:
     judged: m.BoolArray
     range_m: m.FloatArray
     overlap: m.FloatArray
+    visible: m.FloatArray
     box_iou: m.FloatArray
     joints_px: m.FloatArray
     spherical_mm: m.FloatArray
@@ -183,6 +186,7 @@ class _Labels:
         self.boxes_px = np.full((count, 2, 4), np.nan)
         self.sizes_px = np.zeros((count, 2))  # width, height
         self.joints_m = np.full((count, 2, 21, 3), np.nan)
+        self.visible_share = np.full((count, 2), np.nan)
         self.overlaps: list[tuple[m.FloatArray, m.FloatArray]] = []
 
     def add(self, index: int, sample: HandSample) -> None:
@@ -196,11 +200,14 @@ class _Labels:
         self.joints_m[index] = np.where(known[..., None], sample.joints_m, np.nan)
         if sample.visible is not None:
             self.visible[index] = sample.visible
+        if sample.labels is not None:
+            for side in np.flatnonzero(sample.present).tolist():
+                self.visible_share[index, side] = visible_share(self.joints_px[index, side], sample.labels, side)
         mask = self._predictions.mask(index)
         if sample.labels is not None and mask is not None:
             if mask.shape != sample.labels.shape:
                 raise DataFormatError(f"{sample.source}: mask {mask.shape} and labels {sample.labels.shape} differ")
-            self.overlaps.append(m.class_overlaps(mask, m.hand_masks(sample.labels)))
+            self.overlaps.append(m.class_overlaps(mask, hand_classes(sample.labels)))
 
 
 def _comparison(predictions: Predictions, truth: _Labels, protocol: Protocol) -> Comparison:
@@ -238,6 +245,7 @@ def _comparison(predictions: Predictions, truth: _Labels, protocol: Protocol) ->
         judged=truth.present | protocol.all_hands_labelled,
         range_m=np.linalg.norm(true_roots, axis=-1),
         overlap=covered_share(truth.boxes_px),
+        visible=truth.visible_share,
         box_iou=np.asarray(box_iou(within_picture, truth.boxes_px)),
         joints_px=joints(by_hand(m.endpoint_errors, predictions.joints_px * scale, truth.joints_px * scale, found)),
         spherical_mm=spherical_mm,

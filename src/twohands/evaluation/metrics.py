@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twohands.geometry.rotation import centring_angles
-from twohands.skeleton import BONES, LEFT, N_PART_LABELS, PART_NAMES, RIGHT
+from twohands.skeleton import BONES, LEFT, RIGHT
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -64,14 +64,6 @@ def box_correct(iou: ArrayLike, predicted: ArrayLike, truth: ArrayLike, threshol
     predicted, truth = _bools(predicted), _bools(truth)
     overlapping = np.asarray(iou) > threshold  # False for NaN
     return np.asarray(np.where(truth & predicted, overlapping, ~truth & ~predicted), bool)
-
-
-def hand_masks(part_labels: ArrayLike) -> NDArray[np.uint8]:
-    """Part labels 0..14 to hand masks 0 background, 1 left, 2 right; arms belong to their hand (SPEC 2)."""
-    table = np.zeros(N_PART_LABELS, np.uint8)
-    for side in (LEFT, RIGHT):
-        table[1 + side * len(PART_NAMES) : 1 + (side + 1) * len(PART_NAMES)] = 1 + side
-    return table[np.asarray(part_labels)]
 
 
 def class_overlaps(predicted: ArrayLike, truth: ArrayLike) -> tuple[FloatArray, FloatArray]:

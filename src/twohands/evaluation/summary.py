@@ -72,7 +72,7 @@ class SystemResult:
     Attributes:
         name: short name for headings.
         report: all metrics.
-        parts: the same by range, overlap and side.
+        parts: the same by range, overlap, joints in view and side.
         curves: PCK.
         common: the metrics over the hands that every system found; empty for a single system.
         command: what made its predictions; "" where unknown.

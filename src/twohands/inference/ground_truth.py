@@ -14,10 +14,10 @@ import numpy as np
 
 from twohands.errors import CheckpointError, InputError
 from twohands.evaluation.completion import hand_lengths_m
-from twohands.evaluation.metrics import hand_masks
 from twohands.geometry.boxes import apply_homography, box_in_picture
 from twohands.geometry.canonical import canonical_from_camera
 from twohands.geometry.heatmaps import encode_heatmaps
+from twohands.geometry.part_labels import hand_classes
 from twohands.inference.estimator import HandEstimator, StageTruth
 from twohands.types import HandSample, TwoHandPose
 
@@ -79,7 +79,7 @@ def stage_truth(sample: HandSample, stages: tuple[Stage, ...]) -> StageTruth:
     if "masks" in stages and sample.labels is None:
         raise InputError(f"{sample.source}: has no part labels to replace the masks by")
     return StageTruth(
-        masks=hand_masks(sample.labels) if "masks" in stages and sample.labels is not None else None,
+        masks=hand_classes(sample.labels) if "masks" in stages and sample.labels is not None else None,
         boxes_px=_true_boxes(sample) if "boxes" in stages else None,
         present=sample.present if "presence" in stages else None,
         joints_px=sample.joints_px if "joints-2d" in stages else None,

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, Sampler
 
-from twohands.datasets.hand_views import cut_at_border, hand_box, hand_classes
+from twohands.datasets.hand_views import cut_at_border, hand_box
 from twohands.datasets.pose_targets import (
     PoseTarget,
     Segmentation,
@@ -32,6 +32,7 @@ from twohands.datasets.pose_targets import (
 from twohands.datasets.segmentation_targets import segmentation_target
 from twohands.errors import InputError, TwoHandsError
 from twohands.geometry.boxes import box_iou
+from twohands.geometry.part_labels import hand_classes
 from twohands.geometry.segmentation import (
     as_one_hand,
     boxes_from_energy,
