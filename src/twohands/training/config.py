@@ -340,7 +340,7 @@ def recipe(name: RecipeName, stage: StageName) -> TrainConfig:
             joint=10.0,
             bone=5.0,
             projection=2.0,
-            place=5.0,
+            place=10.0,
             heatmap_along=1.0,
             judge=2.5,
         ),
