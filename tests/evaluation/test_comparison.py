@@ -137,7 +137,7 @@ def test_parts_by_joints_in_view() -> None:
     labels[100, 100:110] = part_label(LEFT, 3)
     cut = replace(sample, joints_px=joints_px, labels=labels)
     comparison = compare(predictions_for(samples=[cut]), [cut])
-    np.testing.assert_allclose(comparison.visible, [[10 / 21, 1]])
+    np.testing.assert_allclose(comparison.visible_share, [[10 / 21, 1]])
     table = next(table for table in breakdowns(comparison) if table.key == "joints in view")
     assert [(part.name, part.hands) for part in table.parts] == [("25-50 %", 1), ("over 75 %", 1)]
     unlabelled = replace(cut, labels=None)

@@ -20,6 +20,7 @@ def test_joints_count_on_their_own_hand_or_arm_alone():
     points = np.array([[1.0, 1.0], [4.9, 9.9], [5.0, 1.0], [-1.0, 2.0]])
     assert visible_share(points, labels, LEFT) == 0.5
     assert visible_share(points, labels, RIGHT) == 0.25
+    assert np.isnan(visible_share(points, None, LEFT))
 
 
 def test_unknown_joints_and_those_beside_the_picture_are_hidden():

@@ -5,7 +5,6 @@ All of them come from labels and pictures alone, so that generated and official 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 
 import cv2
@@ -71,15 +70,15 @@ class Measurements:
         """Takes the values of an instance; hands without 3D labels count in the 2D values only."""
         self._instances += 1
         joints_px, joints_m = instance.joints_px[:, 1:], instance.joints_m[:, 1:]  # (2, 21, ...)
-        labels, size = instance.labels, np.array([instance.camera.width, instance.camera.height])
+        size = np.array([instance.camera.width, instance.camera.height])
         for side in (LEFT, RIGHT):
             if not instance.present[side]:
                 continue
             self._sides[side] += 1
             self._heat += heat_map(joints_px[side] / size)
             hand: dict[str, float | np.ndarray] = {
-                "visible": math.nan if labels is None else visible_share(joints_px[side], labels, side),
-                "skin_ita_deg": skin_tone_deg(instance.image, labels, side),
+                "visible": visible_share(joints_px[side], instance.labels, side),
+                "skin_ita_deg": skin_tone_deg(instance.image, instance.labels, side),
             }
             if np.isfinite(joints_m[side]).all():
                 hand |= hand_values(joints_m[side], side)

@@ -71,7 +71,7 @@ class Breakdown:
 def breakdowns(comparison: Comparison) -> tuple[Breakdown, ...]:
     """Tables by range, overlap, joints in view and side; parts without any hand, and tables without any part, are left
     out."""
-    range_m, overlap = comparison.range_m, comparison.overlap
+    range_m, overlap, share = comparison.range_m, comparison.overlap, comparison.visible_share
     alone = comparison.present & ~comparison.present[:, ::-1]
     together = comparison.present & ~alone
     ranges = [
@@ -83,8 +83,7 @@ def breakdowns(comparison: Comparison) -> tuple[Breakdown, ...]:
         for low, high in pairwise(OVERLAP_EDGES)
     ]
     visible = [
-        (_between(low, high, 100, "%"), (comparison.visible >= low) & (comparison.visible < high))
-        for low, high in pairwise(VISIBLE_EDGES)
+        (_between(low, high, 100, "%"), (share >= low) & (share < high)) for low, high in pairwise(VISIBLE_EDGES)
     ]
     left = np.broadcast_to([True, False], comparison.present.shape)
     tables = (

@@ -59,7 +59,7 @@ class Comparison:
         judged: (N, 2) bool, hands whose presence can be right or wrong.
         range_m: (N, 2) true distance of the root joint; NaN where unknown.
         overlap: (N, 2) share of the hand's true box that the other hand's box covers, 0..1; NaN where unknown.
-        visible: (N, 2) share of the hand's joints that are in view (`part_labels.visible_share`); NaN where unknown.
+        visible_share: (N, 2) share of the hand's joints in view (`part_labels.visible_share`); NaN where unknown.
         box_iou: (N, 2) overlap of predicted and true box; NaN without either.
         joints_px: (N, 2, 21) 2D error, pixels at a width of 480.
         spherical_mm, cartesian_mm: (N, 2, 21) error of the canonical pose at the true hand length, by alignment.
@@ -79,7 +79,7 @@ class Comparison:
     judged: m.BoolArray
     range_m: m.FloatArray
     overlap: m.FloatArray
-    visible: m.FloatArray
+    visible_share: m.FloatArray
     box_iou: m.FloatArray
     joints_px: m.FloatArray
     spherical_mm: m.FloatArray
@@ -200,9 +200,8 @@ class _Labels:
         self.joints_m[index] = np.where(known[..., None], sample.joints_m, np.nan)
         if sample.visible is not None:
             self.visible[index] = sample.visible
-        if sample.labels is not None:
-            for side in np.flatnonzero(sample.present).tolist():
-                self.visible_share[index, side] = visible_share(self.joints_px[index, side], sample.labels, side)
+        for side in np.flatnonzero(sample.present).tolist():
+            self.visible_share[index, side] = visible_share(self.joints_px[index, side], sample.labels, side)
         mask = self._predictions.mask(index)
         if sample.labels is not None and mask is not None:
             if mask.shape != sample.labels.shape:
@@ -245,7 +244,7 @@ def _comparison(predictions: Predictions, truth: _Labels, protocol: Protocol) ->
         judged=truth.present | protocol.all_hands_labelled,
         range_m=np.linalg.norm(true_roots, axis=-1),
         overlap=covered_share(truth.boxes_px),
-        visible=truth.visible_share,
+        visible_share=truth.visible_share,
         box_iou=np.asarray(box_iou(within_picture, truth.boxes_px)),
         joints_px=joints(by_hand(m.endpoint_errors, predictions.joints_px * scale, truth.joints_px * scale, found)),
         spherical_mm=spherical_mm,

@@ -19,7 +19,7 @@ def hand_classes(labels: np.ndarray) -> np.ndarray:
     return ((labels > 0).astype(np.uint8) + (labels > len(PART_NAMES))).astype(np.uint8)
 
 
-def visible_share(joints_px: np.ndarray, labels: np.ndarray, side: int) -> float:
+def visible_share(joints_px: np.ndarray, labels: np.ndarray | None, side: int) -> float:
     """Share of a hand's joints at whose pixel the hand itself, or its arm, is seen.
 
     What lies under the hand's own skin counts as seen; what another hand, a thing or the picture's border hides does
@@ -27,12 +27,14 @@ def visible_share(joints_px: np.ndarray, labels: np.ndarray, side: int) -> float
 
     Args:
         joints_px: (J, 2) pixels of the picture; NaN where unknown, which counts as hidden.
-        labels: (H, W) uint8 part labels, 0..14.
+        labels: (H, W) uint8 part labels, 0..14, or None.
         side: LEFT or RIGHT.
 
     Returns:
-        0..1.
+        0..1; NaN without labels.
     """
+    if labels is None:
+        return float("nan")
     height, width = labels.shape
     with np.errstate(invalid="ignore"):
         inside = ((joints_px >= 0) & (joints_px < [width, height])).all(axis=1)
