@@ -8,7 +8,7 @@ import torch
 from torch import nn
 
 from twohands.errors import InputError
-from twohands.models.blocks import count_blocks, fold_batch_norm, scaled
+from twohands.models.blocks import count_blocks, fold_batch_norm, freeze_batch_norm, scaled
 from twohands.models.encoder_decoder import EncoderDecoder
 from twohands.models.hand_seg_net import HandSegNet, HandSegNetConfig
 from twohands.models.pose_net_2d import PoseNet2D, PoseNet2DConfig
@@ -246,3 +246,32 @@ def test_folding_batch_norm_leaves_the_function_as_it_is():
     fold_batch_norm(net)
     assert not any(isinstance(module, nn.BatchNorm2d) for module in net.modules())
     torch.testing.assert_close(net(x), before, rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.parametrize("variant", ["auto-encoder", "encoder-decoder"])
+def test_frozen_batch_norm_answers_and_learns_in_training_as_in_evaluation(variant: str):
+    torch.manual_seed(0)
+    net = HandSegNet(HandSegNetConfig(variant, 64, 64, width=0.125))
+    for _ in range(3):
+        net(torch.randn(2, 3, 64, 64) * 2 + 1)  # statistics other than 0 and 1
+    net.eval()
+    x = torch.randn(2, 3, 64, 64)
+
+    def answered() -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
+        net.zero_grad()
+        classes, energies = net(x)
+        (classes.square().mean() + energies.square().mean()).backward()
+        gradients = {name: p.grad.clone() for name, p in net.named_parameters() if p.grad is not None}
+        return torch.cat([classes, energies], dim=1).detach(), gradients
+
+    answer, gradients = answered()
+    state = {name: tensor.clone() for name, tensor in net.state_dict().items()}
+    freeze_batch_norm(net)
+    net.train()
+    frozen_answer, frozen_gradients = answered()
+    torch.testing.assert_close(frozen_answer, answer, rtol=1e-3, atol=1e-5)
+    assert frozen_gradients.keys() == gradients.keys() == dict(net.named_parameters()).keys()
+    for name, gradient in gradients.items():
+        scale = float(gradient.abs().max())
+        torch.testing.assert_close(frozen_gradients[name] / scale, gradient / scale, rtol=1e-3, atol=1e-3)
+    torch.testing.assert_close(dict(net.state_dict()), state, rtol=0, atol=0)

@@ -229,6 +229,29 @@ def test_gradients_reach_pose_net_2d_through_the_maps(tmp_path):
         assert max(float(p.grad.abs().max()) for p in stage.net_2d.net.parameters()) > 0
 
 
+def test_frozen_statistics_stay_while_all_weights_learn(tmp_path):
+    """And a run that was stopped goes on as if it had not been."""
+    first = tiny_run("pose_net_3d", iterations=2)
+    start = train(first, SAMPLES, (), tmp_path / "start", weights=pose_weights(tmp_path)).checkpoints
+    config = with_override(dataclasses.replace(first, iterations=4), "optim.frozen_norm=true")
+    whole = train(config, SAMPLES, (), tmp_path / "whole", weights=list(start.values()))
+    train(config, SAMPLES, (), tmp_path / "parts", weights=list(start.values()), stop_after=2)
+    parts = train(config, SAMPLES, (), tmp_path / "parts", resume=True)
+    for name, path in whole.checkpoints.items():
+        learnt = load_network(name, path)
+        assert same_weights(learnt, load_network(name, parts.checkpoints[name]))
+        before = load_network(name, start[name]).state_dict()
+        for key, values in learnt.state_dict().items():
+            kept = key.endswith(("running_mean", "running_var", "num_batches_tracked"))
+            assert torch.equal(values, before[key]) == kept, key
+
+
+def test_frozen_statistics_come_from_weights(tmp_path):
+    config = with_override(tiny_run("pose_net_3d"), "optim.frozen_norm=true")
+    with pytest.raises(InputError, match="pose_net_3d has no statistics to keep"):
+        train(config, SAMPLES, (), tmp_path / "run", weights=pose_weights(tmp_path))
+
+
 def test_pose_net_3d_needs_pose_net_2d(tmp_path):
     with pytest.raises(InputError, match="needs the weights of a trained pose_net_2d"):
         build_stage(tiny_run("pose_net_3d"))

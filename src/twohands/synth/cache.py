@@ -221,7 +221,7 @@ class FrameCache:
         fx, fy, cx, cy = map(float, arrays["intrinsics"][at])
         camera = PinholeCamera(fx, fy, cx, cy, self._width, self._height)
         background = self.backgrounds.sample(rng, camera).picture
-        colour, alpha = np.ascontiguousarray(rgba[..., :3]), rgba[..., 3]
+        colour, alpha = cv2.cvtColor(rgba, cv2.COLOR_RGBA2RGB), rgba[..., 3]
         if rng.random() < self.empty_rate:
             image = compose(colour, np.where(labels > 0, np.uint8(0), alpha), background)
             labels, joints_m, present = np.zeros_like(labels), np.full((2, 22, 3), np.nan), np.zeros(2, bool)

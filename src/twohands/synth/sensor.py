@@ -77,12 +77,15 @@ def expose(image: np.ndarray, sensor: Sensor, rng: np.random.Generator) -> np.nd
         image = np.asarray(cv2.filter2D(image, -1, _streak(sensor.shake_px * scale), borderType=cv2.BORDER_REPLICATE))
     if sensor.read_noise or sensor.shot_noise:
         level = sensor.read_noise + sensor.shot_noise * np.sqrt(np.arange(256, dtype=np.float32) / 255)
-        spread = cv2.LUT(image, level.astype(np.float32))
-        grain = spread * rng.standard_normal(image.shape, dtype=np.float32)
-        image = np.clip(image + grain + np.float32(0.5), 0, 255).astype(np.uint8)
+        noisy = rng.standard_normal(image.shape, dtype=np.float32)  # changed in place: new arrays take as long to fill
+        noisy *= cv2.LUT(image, level.astype(np.float32))
+        noisy += image
+        noisy += np.float32(0.5)
+        image = np.clip(noisy, 0, 255, out=noisy).astype(np.uint8)
     if sensor.jpeg_quality is not None:
-        _, data = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, sensor.jpeg_quality])
-        image = np.ascontiguousarray(np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR))[..., ::-1])
+        bgr = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
+        _, data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, sensor.jpeg_quality])
+        image = cv2.cvtColor(np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR)), cv2.COLOR_BGR2RGB)
     return image
 
 

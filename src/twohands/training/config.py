@@ -148,6 +148,8 @@ class OptimConfig:
     """Decay per iteration of the averaged weights that are validated and exported; 0 takes the last weights."""
     along_rate: float = 0.0
     """Stage pose_net_3d: learning rate of PoseNet2D relative to PoseNet3D's; 0 freezes it."""
+    frozen_norm: bool = False
+    """Batch normalisations keep the statistics of the weights that the run starts from: steps take a fifth less."""
 
     def __post_init__(self) -> None:
         _check_choices(self)

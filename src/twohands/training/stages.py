@@ -21,6 +21,7 @@ from twohands.geometry.heatmaps import (
     encode_energy,
     encode_heatmaps,
 )
+from twohands.models.blocks import freeze_batch_norm
 from twohands.models.checkpoint import load_network, network_name
 from twohands.models.hand_seg_net import HandSegNet, HandSegNetConfig
 from twohands.models.pose_net_2d import PoseNet2D, PoseNet2DConfig
@@ -336,7 +337,7 @@ def build_stage(config: TrainConfig, weights: Sequence[Path] = (), *, require_we
         require_weights: False if the caller fills the networks from a saved state afterwards.
 
     Raises:
-        InputError: PoseNet2D's weights are missing, shapes differ, or the pose networks' cues do.
+        InputError: weights are missing, shapes differ, or the pose networks' cues do.
         CheckpointError: a file is missing, damaged or of a network that this stage does not have.
     """
     torch.manual_seed(config.seed)
@@ -357,6 +358,10 @@ def build_stage(config: TrainConfig, weights: Sequence[Path] = (), *, require_we
         filled.add(_fill(known, path))
     if require_weights and config.stage == "pose_net_3d" and "pose_net_2d" not in filled:
         raise InputError("stage pose_net_3d needs the weights of a trained pose_net_2d (--weights FILE)")
+    if config.optim.frozen_norm:
+        if require_weights and (fresh := known.keys() - filled):
+            raise InputError(f"frozen_norm: {fresh.pop()} has no statistics to keep; give its weights (--weights FILE)")
+        freeze_batch_norm(stage)
     return stage
 
 
