@@ -417,7 +417,8 @@ class _Room:
         self.place = _Wander(rng, amplitude, amplitude * 0.8, fps)
         size = max(int(0.8 * camera.width), 32)
         shade = np.array([0.85, 0.95, 0.6, 1.1, 1.0, 0.9], np.float32) * rng.uniform(0.85, 1.1, 6)  # -x +x -y +y -z +z
-        tiles = [np.clip(_wall(rng, size) * s, 0, 255).astype(np.uint8) for s in shade]
+        greys = np.arange(256, dtype=np.float32)
+        tiles = [cv2.LUT(_wall(rng, size), np.clip(greys * s, 0, 255).astype(np.uint8)) for s in shade]
         # Pixels are repeated around every tile, so that no tile bleeds into the next one.
         self.atlas = np.concatenate(
             [cv2.copyMakeBorder(tile, 2, 2, 2, 2, cv2.BORDER_REPLICATE) for tile in tiles], axis=1

@@ -34,8 +34,9 @@ def joined(picture: np.ndarray, other: np.ndarray, rng: np.random.Generator) -> 
         angle = rng.uniform(0, 2 * np.pi)
         across = np.array([np.cos(angle), np.sin(angle)], np.float32)
         offset = float((rng.uniform(0.2, 0.8, 2) * [width, height]) @ across)
-        rows, columns = np.mgrid[:height, :width].astype(np.float32)
-        return np.where((columns * across[0] + rows * across[1] < offset)[..., None], picture, other)
+        columns, rows = np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32)[:, None]
+        nearer = (columns * across[0] + rows * across[1] < offset).astype(np.uint8)
+        return np.asarray(cv2.copyTo(picture, nearer, other.copy()))
     scale = rng.uniform(0.25, 0.75)
     small = cv2.resize(other, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     left, top = rng.integers(0, width - small.shape[1] + 1), rng.integers(0, height - small.shape[0] + 1)
