@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from twohands.skeleton import N_PART_LABELS
+from twohands.synth.body import load_asset, skin
 from twohands.synth.collision import capsules, segment_distance
 from twohands.synth.config import WILD
-from twohands.synth.scene import sample_scene
+from twohands.synth.scene import moved, sample_scene
 from twohands.synth.things import NO_LABEL, band, superquadric
 
 LADEN = {"objects": 1.0, "watches": 1.0, "rings": 1.0, "gloves": 0.0, "sleeves": 0.0}
@@ -92,3 +93,34 @@ def test_watch_and_ring_do_not_depend_on_the_other_hand():
     assert [t.label for t in sample_scene(config, 3, 1).things] == [t.label for t in sample_scene(config, 3, 1).things]
     none = dataclasses.replace(CONFIG, objects=0.0, watches=0.0, rings=0.0)
     assert sample_scene(none, 3, 1).things == ()
+
+
+def winding(points, vertices, faces):
+    """(N,) how often a mesh goes around points: 1 inside a closed one, 0 outside (Van Oosterom, Strackee 1983)."""
+    a, b, c = (vertices[faces[:, k]] - points[:, None] for k in range(3))
+    la, lb, lc = (np.linalg.norm(x, axis=-1) for x in (a, b, c))
+    volume = (a * np.cross(b, c)).sum(-1)
+    below = la * lb * lc + (a * b).sum(-1) * lc + (b * c).sum(-1) * la + (c * a).sum(-1) * lb
+    return np.arctan2(volume, below).sum(1) / (2 * np.pi)
+
+
+def test_arms_end_inside_the_shirt():
+    """From beside and behind, bare arms ended in teeth on the shirt."""
+    asset = load_asset()
+    edges = np.sort(np.concatenate([asset.faces[:, [i, (i + 1) % 3]] for i in range(3)]), axis=1)
+    unique, count = np.unique(edges, axis=0, return_counts=True)
+    rim = np.unique(unique[count == 1])
+    assert 40 < len(rim) < 80
+    config = dataclasses.replace(CONFIG, free_view=1.0, objects=0.0, watches=0.0, rings=0.0, drop_rate=0.3)
+    covered = []
+    for index in range(20):
+        scene = sample_scene(config, 5, index)
+        trunk, sleeves = scene.things[0], scene.things[4:]
+        assert len(sleeves) == scene.present.sum() and {thing.label for thing in sleeves} == {NO_LABEL}
+        posed = skin(scene.body, scene.transforms, scene.view)
+        for side, sleeve in zip(np.flatnonzero(scene.present), sleeves, strict=True):
+            assert (outwardness(sleeve.vertices, sleeve.normals, sleeve.faces) > 0).mean() > 0.98
+            mine = posed[rim[asset.side[rim] == side]]
+            around = [winding(mine, moved(scene.view, cloth.vertices), cloth.faces) for cloth in (trunk, sleeve)]
+            covered.append(np.max(around, axis=0) > 0.5)
+    assert np.concatenate(covered).mean() > 0.99

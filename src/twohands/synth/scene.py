@@ -456,7 +456,7 @@ def sample_scene(config: SynthConfig, seed: int, index: int, fabrics: FabricFold
     transforms = forward_kinematics(body, rotations.reshape(-1, 3, 3))
     things = sample_things(config, body, transforms, joints, present, bare, rng)
     if sees_the_person(view):
-        things += sample_person(body, skin.albedo, clothes.sleeve_albedo, rng)
+        things += sample_person(body, transforms, present, skin.albedo, clothes.sleeve_albedo, rng)
     skin = dataclasses.replace(skin, detail=sample_skin_detail(config, rng))
     return SceneSpec(
         camera,

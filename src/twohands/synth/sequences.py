@@ -240,7 +240,7 @@ class Sequence:
         rng = _rng(self.set.scene_seed, _THINGS_STREAM, self.index)
         things = sample_things(self._worn, self._body, transforms, joints, present, self._bare, rng)
         if sees_the_person(self.view):
-            things += sample_person(self._body, self.skin.albedo, self.clothes.sleeve_albedo, rng)
+            things += sample_person(self._body, transforms, present, self.skin.albedo, self.clothes.sleeve_albedo, rng)
         return things
 
     def clip(self, source: ClipSource) -> Clip:

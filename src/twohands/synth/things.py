@@ -22,6 +22,13 @@ SMALLEST_M, LARGEST_M = 0.007, 0.042
 """Radii of held objects."""
 REACH_M = 0.014
 """A held object is at most this far from palm and fingers."""
+SHORT_SLEEVE = (-0.32, 0.42)
+"""Where a short sleeve begins and ends, as shares of the way from the shoulder to the elbow."""
+LOOSE_M = 0.016
+"""Distance of a short sleeve from the skin."""
+SLEEVE_ROWS = 12
+SKIN_AROUND_M = 0.025
+"""How far around it (standard deviation) the skin counts that a point of a sleeve follows."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,7 +113,13 @@ def _grid_faces(rows: int, columns: int) -> np.ndarray:
 
 
 def band(
-    points: np.ndarray, origin: np.ndarray, axis: np.ndarray, width: float, thickness: float, columns: int = 36
+    points: np.ndarray,
+    origin: np.ndarray,
+    axis: np.ndarray,
+    width: float,
+    thickness: float,
+    rows: int = 2,
+    columns: int = 36,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """A band laid around a limb.
 
@@ -115,6 +128,7 @@ def band(
         origin: (3,) on the limb's axis, in the middle of the band.
         axis: (3,) unit vector along the limb.
         width, thickness: metres.
+        rows: of vertices across its outer face; a band that is to bend needs more than 2.
         columns: vertices around.
 
     Returns:
@@ -131,8 +145,8 @@ def band(
     outline = basis(around) @ fitted + np.quantile(radius - basis(angle) @ fitted, 0.9)
     direction = np.cos(around)[:, None] * x + np.sin(around)[:, None] * y
     # Profile across the band: inner edge, outer face, inner edge.
-    profile = np.array([(-0.5, 0.0), (-0.46, 1.0), (0.46, 1.0), (0.5, 0.0)])
-    lean = np.array([-0.9, -0.25, 0.25, 0.9])
+    profile = np.array([(-0.5, 0.0), *((across, 1.0) for across in np.linspace(-0.46, 0.46, rows)), (0.5, 0.0)])
+    lean = np.concatenate([[-0.9], np.linspace(-0.25, 0.25, rows), [0.9]])
     vertices, normals = [], []
     for (along, out), tilt in zip(profile, lean, strict=True):
         vertices.append(origin + axis * along * width + direction * (outline + out * thickness)[:, None])
@@ -179,12 +193,20 @@ def sample_things(
 
 
 def sample_person(
-    body: Body, skin_albedo: np.ndarray, cloth_albedo: np.ndarray, rng: np.random.Generator
+    body: Body,
+    transforms: np.ndarray,
+    present: np.ndarray,
+    skin_albedo: np.ndarray,
+    cloth_albedo: np.ndarray,
+    rng: np.random.Generator,
 ) -> tuple[Thing, ...]:
-    """What a camera that is not on the head sees of the person beside the arms: trunk, neck, head and hair, as solids.
+    """What a camera that is not on the head sees of the person beside the arms: trunk, neck, head and hair as solids,
+    and the shirt's short sleeves, in which the arms' meshes end.
 
     Args:
         body: the person.
+        transforms: (48, 3, 4) posed bones, frame between the eyes, body's metres.
+        present: (2,) bool, which arms are there.
         skin_albedo, cloth_albedo: (3,) linear RGB; cloth without a colour gets one.
         rng: the only source of randomness.
     """
@@ -205,16 +227,50 @@ def sample_person(
         vertices, normals, faces, place = superquadric(np.array(half), *exponents)
         mesh = vertices @ upright.T + centre, normals @ upright.T, faces, place
         things.append(_thing(mesh, albedo, albedo * 0.8, 0.0, roughness, NO_LABEL))
-    return tuple(things)
+    return (*things, *(_short_sleeve(body, transforms, side, cloth) for side in (LEFT, RIGHT) if present[side]))
+
+
+def _short_sleeve(body: Body, transforms: np.ndarray, side: int, albedo: np.ndarray) -> Thing:
+    """A tube about the upper arm, closed and round at the shoulder, that bends with the skin under it."""
+    shoulder, elbow = (body.heads[bone(name, side)] for name in ("upperarm01", "lowerarm01"))
+    low, high = SHORT_SLEEVE
+    chosen = _near(body, side, shoulder, elbow, low, high, 0.12)
+    axis, length = unit(elbow - shoulder), float(np.linalg.norm(elbow - shoulder))
+    origin = shoulder + axis * length * (low + high) / 2
+    tube, _, faces, place = band(body.vertices[chosen], origin, axis, length * (high - low), LOOSE_M, rows=SLEEVE_ROWS)
+    along = (tube - shoulder) @ axis / length
+    centre = shoulder + along[:, None] * axis * length
+    width = (1 - np.clip(along / low, 0, 1) ** 4) ** 0.25
+    tube = centre + width[:, None] * (tube - centre)
+    # Every vertex follows what the skin around it follows.
+    apart = ((tube[:, None] - body.vertices[chosen]) ** 2).sum(-1)
+    share = np.exp(-apart / (2 * SKIN_AROUND_M**2)) + 1e-30
+    moves = np.einsum("vn,nab->vab", share / share.sum(1, keepdims=True), _skin_moves(body, transforms, chosen))
+    vertices = np.einsum("vab,vb->va", moves[..., :3], tube) + moves[..., 3]
+    mesh = vertices, _vertex_normals(vertices, faces), faces, place
+    return _thing(mesh, albedo, albedo * 0.8, 0.0, 0.85, NO_LABEL)
+
+
+def _vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(V, 3) unit normals, means of those of the triangles around, weighted by area."""
+    a, b, c = vertices[faces].transpose(1, 0, 2)
+    normals = np.zeros_like(vertices)
+    np.add.at(normals, faces, np.cross(b - a, c - a)[:, None])
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+
+
+def _skin_moves(body: Body, transforms: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """(N, 3, 4) transforms of the vertices `chosen` (N,) from rest to the posed frame: linear blend skinning."""
+    asset = body.asset
+    weights = asset.bone_weight[chosen]
+    blended = np.einsum("vk,vkab->vab", weights, transforms[asset.bone_index[chosen]])
+    return blended + (1 - weights.sum(1))[:, None, None] * np.eye(3, 4)
 
 
 def _skin_points(body: Body, transforms: np.ndarray, chosen: np.ndarray) -> np.ndarray:
     """(N, 3) posed places of the vertices `chosen` (N,)."""
-    asset = body.asset
-    weights = asset.bone_weight[chosen]
-    blended = np.einsum("vk,vkab->vab", weights, transforms[asset.bone_index[chosen]])
-    rest = body.vertices[chosen]
-    return np.einsum("vab,vb->va", blended[..., :3], rest) + blended[..., 3] + (1 - weights.sum(1))[:, None] * rest
+    moves = _skin_moves(body, transforms, chosen)
+    return np.einsum("vab,vb->va", moves[..., :3], body.vertices[chosen]) + moves[..., 3]
 
 
 def _near(body: Body, side: int, a: np.ndarray, b: np.ndarray, low: float, high: float, radius: float) -> np.ndarray:
