@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from twohands.skeleton import N_PART_LABELS
+from twohands.skeleton import N_PART_LABELS, PART_NAMES, part_label
 from twohands.synth.body import load_asset, skin
 from twohands.synth.collision import capsules, segment_distance
 from twohands.synth.config import WILD
@@ -111,16 +111,19 @@ def test_arms_end_inside_the_shirt():
     unique, count = np.unique(edges, axis=0, return_counts=True)
     rim = np.unique(unique[count == 1])
     assert 40 < len(rim) < 80
-    config = dataclasses.replace(CONFIG, free_view=1.0, objects=0.0, watches=0.0, rings=0.0, drop_rate=0.3)
-    covered = []
+    config = dataclasses.replace(CONFIG, free_view=1.0, objects=0.0, watches=0.0, rings=0.0, drop_rate=0.3, sleeves=0.3)
+    covered, labels = [], set()
     for index in range(20):
         scene = sample_scene(config, 5, index)
         trunk, sleeves = scene.things[0], scene.things[4:]
-        assert len(sleeves) == scene.present.sum() and {thing.label for thing in sleeves} == {NO_LABEL}
+        assert len(sleeves) == scene.present.sum()
         posed = skin(scene.body, scene.transforms, scene.view)
         for side, sleeve in zip(np.flatnonzero(scene.present), sleeves, strict=True):
+            long = bool(scene.clothes.sleeve_albedo.any())
+            assert sleeve.label == (part_label(int(side), PART_NAMES.index("arm")) if long else NO_LABEL)
+            labels.add(long)
             assert (outwardness(sleeve.vertices, sleeve.normals, sleeve.faces) > 0).mean() > 0.98
             mine = posed[rim[asset.side[rim] == side]]
             around = [winding(mine, moved(scene.view, cloth.vertices), cloth.faces) for cloth in (trunk, sleeve)]
             covered.append(np.max(around, axis=0) > 0.5)
-    assert np.concatenate(covered).mean() > 0.99
+    assert np.concatenate(covered).mean() > 0.99 and labels == {True, False}

@@ -201,7 +201,7 @@ def sample_person(
     rng: np.random.Generator,
 ) -> tuple[Thing, ...]:
     """What a camera that is not on the head sees of the person beside the arms: trunk, neck, head and hair as solids,
-    and the shirt's short sleeves, in which the arms' meshes end.
+    and the shirt's short sleeves, in which the arms' meshes end. Where they go on in long sleeves, they count as arms.
 
     Args:
         body: the person.
@@ -227,10 +227,13 @@ def sample_person(
         vertices, normals, faces, place = superquadric(np.array(half), *exponents)
         mesh = vertices @ upright.T + centre, normals @ upright.T, faces, place
         things.append(_thing(mesh, albedo, albedo * 0.8, 0.0, roughness, NO_LABEL))
-    return (*things, *(_short_sleeve(body, transforms, side, cloth) for side in (LEFT, RIGHT) if present[side]))
+    for side in np.flatnonzero(present):
+        label = part_label(int(side), PART_NAMES.index("arm")) if cloth_albedo.any() else NO_LABEL
+        things.append(_short_sleeve(body, transforms, int(side), cloth, label))
+    return tuple(things)
 
 
-def _short_sleeve(body: Body, transforms: np.ndarray, side: int, albedo: np.ndarray) -> Thing:
+def _short_sleeve(body: Body, transforms: np.ndarray, side: int, albedo: np.ndarray, label: int) -> Thing:
     """A tube about the upper arm, closed and round at the shoulder, that bends with the skin under it."""
     shoulder, elbow = (body.heads[bone(name, side)] for name in ("upperarm01", "lowerarm01"))
     low, high = SHORT_SLEEVE
@@ -248,7 +251,7 @@ def _short_sleeve(body: Body, transforms: np.ndarray, side: int, albedo: np.ndar
     moves = np.einsum("vn,nab->vab", share / share.sum(1, keepdims=True), _skin_moves(body, transforms, chosen))
     vertices = np.einsum("vab,vb->va", moves[..., :3], tube) + moves[..., 3]
     mesh = vertices, _vertex_normals(vertices, faces), faces, place
-    return _thing(mesh, albedo, albedo * 0.8, 0.0, 0.85, NO_LABEL)
+    return _thing(mesh, albedo, albedo * 0.8, 0.0, 0.85, label)
 
 
 def _vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
