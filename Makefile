@@ -1,5 +1,5 @@
 # make demo   track the packaged example images (installs the core and the figures, no torch)
-# make test   run all tests (installs everything)
+# make test   run all tests but those of Blender and Ray (installs what they need)
 # make lint   ruff and pyright
 # make clean  remove the environment and everything generated
 #

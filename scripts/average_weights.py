@@ -1,4 +1,4 @@
-"""Averages networks of a preset with trained ones, as for every shipped preset (extra `train`, and `synth`).
+"""Averages networks of a preset with trained ones: a new preset (extras `train` and `synth`).
 
     python scripts/average_weights.py src/twohands/weights/accurate --pose-net-2d RUN/pose_net_2d.safetensors \\
         --pose-net-3d RUN/pose_net_3d.safetensors --share 0.7 --judge 0.5 --out candidates/accurate

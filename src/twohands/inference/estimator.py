@@ -65,15 +65,16 @@ KEY_BONE_NAMES = ("wrist", "little")
 SECOND_LOOK_IOU = 0.65
 """PoseNet2D looks again where HandSegNet's box and that of the joints found in it overlap less, into the latter.
 
-Ours; the paper looks once. It concerns a fifth of the hands. On 160 test images it brought the root's direction from
-92 % within 1.5 degrees to 94 %, and the mean camera-space error from 18.4 to 17.5 mm; a second look at all hands gives
-no more.
+Ours; the paper looks once. It concerns a fifth of the hands. With earlier weights, on 160 test images, it brought the
+root's direction from 92 % within 1.5 degrees to 94 %, and the mean camera-space error from 18.4 to 17.5 mm; a second
+look at all hands gives no more.
 """
 RAY_SHARE = 0.5
 """How far the joints are drawn to the lines of sight on which PoseNet2D sees them (`drawn_to_rays`), times their score.
 
-Ours; the paper uses the 2D joints for the root's place alone. On 1,000 test images it brought the mean camera-space
-error from 16.8 to 16.1 mm and the canonical AUC from .947 to .952; more brings little, and bones of wrong length.
+Ours; the paper uses the 2D joints for the root's place alone. With earlier weights, on 1,000 test images, it brought
+the mean camera-space error from 16.8 to 16.1 mm and the canonical AUC from .947 to .952; more brings little, and bones
+of wrong length.
 """
 METHOD: Final = "fitted"
 
