@@ -119,4 +119,6 @@ def test_what_cannot_be_averaged_is_said_before_anything_is_written(preset):
     (borrower / "card.json").write_text(json.dumps(card | {"networks": dict.fromkeys(NAMES, "first")}))
     with pytest.raises(InputError, match="no pose_net_3d of its own, it takes that of 'first'"):
         average_preset(borrower, new, preset / "none", share=0.5)
-    assert not (preset / "none").exists()
+    with pytest.raises(InputError, match="'first', which must stand beside it"):
+        average_preset(borrower, new, preset / "elsewhere/none", share=0.5)
+    assert not (preset / "none").exists() and not (preset / "elsewhere").exists()

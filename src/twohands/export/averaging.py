@@ -83,13 +83,17 @@ def average_preset(
 
     Raises:
         CheckpointError: a file cannot be read.
-        InputError: shapes differ, the preset takes such a network from another one, or there is no judge to raise.
+        InputError: shapes differ, the preset takes such a network from another one or one that is not beside `folder`,
+            or there is no judge to raise.
     """
     read = read_card(preset)
     card = json.loads((preset / "card.json").read_text(encoding="utf-8"))
     own = {name: path for name, path in network_files(preset, read).items() if name not in read.networks}
     if folder.resolve() == preset.resolve():
         raise InputError(f"{folder} is the preset itself; choose another folder")
+    for name, other in read.networks.items():
+        if not network_files(folder, read)[name].is_file():
+            raise InputError(f"{folder} takes {name} of '{other}', which must stand beside it: copy that folder there")
     for name in checkpoints:
         if name not in own:
             raise InputError(f"{preset} has no {name} of its own, it takes that of '{read.networks[name]}'")
