@@ -17,21 +17,20 @@ from twohands.cli.output import check_output_folder
 from twohands.errors import TwoHandsError
 from twohands.export.averaging import average_preset
 from twohands.export.calibration import add_int8, generated_pictures
-
-NETWORKS = ("hand_seg_net", "pose_net_2d", "pose_net_3d")
+from twohands.inference.weights import NETWORK_NAMES
 
 
 def main() -> int:
     """Reads the options and writes the weights folder."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("preset", type=Path, help="weights folder to start from")
-    for name in NETWORKS:
+    for name in NETWORK_NAMES:
         parser.add_argument(f"--{name.replace('_', '-')}", type=Path, help="trained file")
     parser.add_argument("--share", type=float, required=True, help="of the trained weights, 0 to 1")
     parser.add_argument("--judge", type=float, default=0.0, help="log-odds by which PoseNet2D's judge is raised")
     parser.add_argument("--out", type=Path, required=True, help="weights folder to write")
     options = parser.parse_args()
-    checkpoints = {name: path for name in NETWORKS if (path := getattr(options, name)) is not None}
+    checkpoints = {name: path for name in NETWORK_NAMES if (path := getattr(options, name)) is not None}
     if not checkpoints:
         parser.error("no trained file: give at least one of --hand-seg-net, --pose-net-2d, --pose-net-3d")
     try:

@@ -13,8 +13,9 @@ from twohands.synth.body import load_asset, skin
 from twohands.synth.compositing import compose
 from twohands.synth.config import WILD, SynthConfig
 from twohands.synth.render.raster import RasterRenderer
-from twohands.synth.render.surface import posed_vertices, surface, vertex_normals
+from twohands.synth.render.surface import posed_vertices, surface
 from twohands.synth.scene import BARE, sample_scene
+from twohands.synth.things import vertex_normals
 
 CONFIG = SynthConfig(width=480, height=270)
 

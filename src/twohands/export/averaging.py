@@ -8,7 +8,6 @@ like this.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -17,7 +16,7 @@ from torch import nn
 
 from twohands.errors import InputError
 from twohands.export.onnx import export_network
-from twohands.inference.weights import network_files, read_card
+from twohands.inference.weights import network_files, read_card, write_card
 from twohands.models.checkpoint import load_network, read_note
 from twohands.models.pose_net_2d import PoseNet2D
 
@@ -115,6 +114,4 @@ def average_preset(
             export_network(means[name], folder / path.name, card["training"][name], card["pose_net_2d"]["map_size"])
         else:
             (folder / path.name).write_bytes(path.read_bytes())
-    partial = folder / "card.json.partial"
-    partial.write_text(json.dumps(card, indent=2) + "\n", encoding="utf-8")
-    os.replace(partial, folder / "card.json")
+    write_card(folder, card)

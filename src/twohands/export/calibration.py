@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 
 from twohands.inference.estimator import HandEstimator
 from twohands.inference.int8 import activation_peaks
+from twohands.inference.weights import write_card
 from twohands.synth.config import PAPER, WILD
 from twohands.synth.stream import SyntheticStream
 from twohands.types import HandSample
@@ -58,9 +58,7 @@ def add_int8(folder: Path, pictures: Iterable[HandSample]) -> None:
         estimator.estimate(picture.image, picture.camera)
     own = [name for name in NETWORKS if name not in estimator.card.networks]
     card["int8"] = kept | {name: activation_peaks(folder / f"{name}.onnx", inputs[name]) for name in own}
-    partial = folder / "card.json.partial"
-    partial.write_text(json.dumps(card, indent=2) + "\n", encoding="utf-8")
-    os.replace(partial, path)
+    write_card(folder, card)
 
 
 def _recorded(network: Callable[[np.ndarray], Any], inputs: list[np.ndarray]) -> Callable[[np.ndarray], Any]:

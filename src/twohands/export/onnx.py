@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import logging
 import math
 import os
@@ -20,6 +19,7 @@ import torch
 from torch import Tensor, nn
 
 from twohands.errors import CheckpointError, InputError
+from twohands.inference.weights import write_card
 from twohands.models.checkpoint import HALF, describe, load_network, read_note
 from twohands.models.hand_seg_net import HandSegNet
 from twohands.models.pose_net_2d import PoseNet2D, PoseNet2DConfig
@@ -199,7 +199,5 @@ def export_preset(
     (folder / "card.json").unlink(missing_ok=True)
     for key, network in networks.items():
         export_network(network, folder / f"{key}.onnx", notes[key], map_size)
-    partial = folder / "card.json.partial"
-    partial.write_text(json.dumps(card, indent=2) + "\n", encoding="utf-8")
-    os.replace(partial, folder / "card.json")
+    write_card(folder, card)
     return card

@@ -34,6 +34,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import resources
@@ -249,6 +250,13 @@ def read_card(folder: Path) -> WeightsCard:
     if missing:
         raise CheckpointError(f"{missing[0].parent}: {missing[0].name} is missing; it must hold all three networks")
     return found
+
+
+def write_card(folder: Path, card: Mapping[str, Any]) -> None:
+    """Write a preset's `card.json` atomically; an old one is replaced."""
+    partial = folder / "card.json.partial"
+    partial.write_text(json.dumps(card, indent=2) + "\n", encoding="utf-8")
+    os.replace(partial, folder / "card.json")
 
 
 def network_files(folder: Path, card: WeightsCard) -> dict[str, Path]:

@@ -13,7 +13,7 @@ from twohands.skeleton import LEFT, PART_NAMES, RIGHT, part_label
 from twohands.synth.body import Body, bone
 from twohands.synth.collision import capsules, segment_distance
 from twohands.synth.config import SynthConfig
-from twohands.synth.pose import unit
+from twohands.synth.pose import dot, unit
 
 NO_LABEL = 255
 """Label of things that are no part of a hand; label images have 0 there."""
@@ -110,6 +110,16 @@ def _grid_faces(rows: int, columns: int) -> np.ndarray:
     a, b = row * columns + column, row * columns + (column + 1) % columns
     c, d = a + columns, b + columns
     return np.concatenate([np.stack([a, b, d], -1), np.stack([a, d, c], -1)]).reshape(-1, 3).astype(np.int32)
+
+
+def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(V, 3) outward unit normals of a closed mesh whose triangles are counter-clockwise from outside."""
+    corners = faces.T.ravel()
+    places = vertices.T.take(corners, axis=1).reshape(3, 3, -1)  # one row per axis and corner: numpy is fast along rows
+    (ux, uy, uz), (vx, vy, vz) = places[:, 1] - places[:, 0], places[:, 2] - places[:, 0]
+    face = (uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx)
+    normals = np.stack([np.bincount(corners, np.tile(along, 3), len(vertices)) for along in face], axis=1)
+    return normals / np.maximum(np.sqrt(dot(normals, normals)), 1e-12)[:, None]
 
 
 def band(
@@ -250,16 +260,8 @@ def _short_sleeve(body: Body, transforms: np.ndarray, side: int, albedo: np.ndar
     share = np.exp(-apart / (2 * SKIN_AROUND_M**2)) + 1e-30
     moves = np.einsum("vn,nab->vab", share / share.sum(1, keepdims=True), _skin_moves(body, transforms, chosen))
     vertices = np.einsum("vab,vb->va", moves[..., :3], tube) + moves[..., 3]
-    mesh = vertices, _vertex_normals(vertices, faces), faces, place
+    mesh = vertices, vertex_normals(vertices, faces), faces, place
     return _thing(mesh, albedo, albedo * 0.8, 0.0, 0.85, label)
-
-
-def _vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(V, 3) unit normals, means of those of the triangles around, weighted by area."""
-    a, b, c = vertices[faces].transpose(1, 0, 2)
-    normals = np.zeros_like(vertices)
-    np.add.at(normals, faces, np.cross(b - a, c - a)[:, None])
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
 
 
 def _skin_moves(body: Body, transforms: np.ndarray, chosen: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ import numpy as np
 
 from twohands.synth.body import BONES_PER_SIDE, Body, bone, forward_kinematics, load_asset, posed_joints, skin
 from twohands.synth.pose import ArmAnatomy, HandAngles, frame, unit
-from twohands.synth.render.surface import vertex_normals
+from twohands.synth.things import vertex_normals
 
 SPREAD = np.radians([10.0, 3.0, -5.0, -14.0])
 """Of index to little finger on the chart."""

@@ -31,8 +31,9 @@ from twohands.synth.render.shaders import (
     THING_VERTEX,
     colour_shaders,
 )
-from twohands.synth.render.surface import posed_things, surface, vertex_normals
+from twohands.synth.render.surface import posed_things, surface
 from twohands.synth.scene import PATTERNS, SceneSpec, moved
+from twohands.synth.things import vertex_normals
 from twohands.types import PinholeCamera, RenderedFrame
 
 NEAR_M, FAR_M = 0.01, 4.0

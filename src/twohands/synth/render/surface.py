@@ -10,9 +10,9 @@ from functools import lru_cache
 import numpy as np
 
 from twohands.synth.body import bone, load_asset, part_labels, skin
-from twohands.synth.pose import ArmAnatomy, dot, unit
+from twohands.synth.pose import ArmAnatomy, unit
 from twohands.synth.scene import SceneSpec, moved
-from twohands.synth.things import Thing
+from twohands.synth.things import Thing, vertex_normals
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,16 +59,6 @@ class ThingMesh:
     roughness: np.ndarray
     label: np.ndarray
     faces: np.ndarray
-
-
-def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(V, 3) outward unit normals of a closed mesh whose triangles are counter-clockwise from outside."""
-    corners = faces.T.ravel()
-    places = vertices.T.take(corners, axis=1).reshape(3, 3, -1)  # one row per axis and corner: numpy is fast along rows
-    (ux, uy, uz), (vx, vy, vz) = places[:, 1] - places[:, 0], places[:, 2] - places[:, 0]
-    face = (uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx)
-    normals = np.stack([np.bincount(corners, np.tile(along, 3), len(vertices)) for along in face], axis=1)
-    return normals / np.maximum(np.sqrt(dot(normals, normals)), 1e-12)[:, None]
 
 
 def posed_vertices(scene: SceneSpec) -> np.ndarray:
