@@ -245,23 +245,37 @@ def posed_joints(body: Body, transforms: np.ndarray) -> np.ndarray:
     return carried(body.joints, transforms.reshape(*transforms.shape[:-3], 2, BONES_PER_SIDE, 3, 4))
 
 
-def skin(body: Body, transforms: np.ndarray, view: np.ndarray | None = None) -> np.ndarray:
+def vertex_moves(
+    asset: ArmsAsset, transforms: np.ndarray, view: np.ndarray | None = None, chosen: np.ndarray | None = None
+) -> np.ndarray:
     """Linear blend skinning; the renderer does the same on the graphics side.
 
     Args:
-        body: the person at rest.
+        asset: whose vertices they are.
         transforms: (48, 3, 4) rest-to-posed transforms of the bones.
         view: (3, 4) transform of what follows no bone but the resting torso; none if None.
+        chosen: (N,) the vertices in question; all if None.
 
     Returns:
-        (V, 3) posed vertices.
+        (N, 3, 4) rest-to-posed transforms of the vertices.
     """
-    asset = body.asset
-    homogeneous = np.concatenate([body.vertices, np.ones((asset.n_vertices, 1))], axis=1)
-    blended = np.einsum("vk,vkab->vab", asset.bone_weight, transforms[asset.bone_index])
-    moved = np.einsum("vab,vb->va", blended, homogeneous)
-    resting = body.vertices if view is None else homogeneous @ view.T
-    return moved + (1 - asset.bone_weight.sum(1, keepdims=True)) * resting
+    rows = slice(None) if chosen is None else chosen
+    weights = asset.bone_weight[rows]
+    blended = np.einsum("vk,vkab->vab", weights, transforms[asset.bone_index[rows]])
+    return blended + (1 - weights.sum(1))[:, None, None] * (np.eye(3, 4) if view is None else view)
+
+
+def moved(points: np.ndarray, moves: np.ndarray) -> np.ndarray:
+    """(N, 3) points, each moved by its own of the transforms (N, 3, 4)."""
+    return np.einsum("vab,vb->va", moves[..., :3], points) + moves[..., 3]
+
+
+def skin(
+    body: Body, transforms: np.ndarray, view: np.ndarray | None = None, chosen: np.ndarray | None = None
+) -> np.ndarray:
+    """(N, 3) posed vertices of a person; arguments as those of `vertex_moves`."""
+    points = body.vertices if chosen is None else body.vertices[chosen]
+    return moved(points, vertex_moves(body.asset, transforms, view, chosen))
 
 
 def part_labels(asset: ArmsAsset) -> np.ndarray:

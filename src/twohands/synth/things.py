@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twohands.skeleton import LEFT, PART_NAMES, RIGHT, part_label
-from twohands.synth.body import Body, bone
+from twohands.synth.body import Body, bone, moved, skin, vertex_moves
 from twohands.synth.collision import capsules, segment_distance
 from twohands.synth.config import SynthConfig
 from twohands.synth.pose import dot, unit
@@ -258,24 +258,10 @@ def _short_sleeve(body: Body, transforms: np.ndarray, side: int, albedo: np.ndar
     # Every vertex follows what the skin around it follows.
     apart = ((tube[:, None] - body.vertices[chosen]) ** 2).sum(-1)
     share = np.exp(-apart / (2 * SKIN_AROUND_M**2)) + 1e-30
-    moves = np.einsum("vn,nab->vab", share / share.sum(1, keepdims=True), _skin_moves(body, transforms, chosen))
-    vertices = np.einsum("vab,vb->va", moves[..., :3], tube) + moves[..., 3]
+    skin_moves = vertex_moves(body.asset, transforms, chosen=chosen)
+    vertices = moved(tube, np.einsum("vn,nab->vab", share / share.sum(1, keepdims=True), skin_moves))
     mesh = vertices, vertex_normals(vertices, faces), faces, place
     return _thing(mesh, albedo, albedo * 0.8, 0.0, 0.85, label)
-
-
-def _skin_moves(body: Body, transforms: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """(N, 3, 4) transforms of the vertices `chosen` (N,) from rest to the posed frame: linear blend skinning."""
-    asset = body.asset
-    weights = asset.bone_weight[chosen]
-    blended = np.einsum("vk,vkab->vab", weights, transforms[asset.bone_index[chosen]])
-    return blended + (1 - weights.sum(1))[:, None, None] * np.eye(3, 4)
-
-
-def _skin_points(body: Body, transforms: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """(N, 3) posed places of the vertices `chosen` (N,)."""
-    moves = _skin_moves(body, transforms, chosen)
-    return np.einsum("vab,vb->va", moves[..., :3], body.vertices[chosen]) + moves[..., 3]
 
 
 def _near(body: Body, side: int, a: np.ndarray, b: np.ndarray, low: float, high: float, radius: float) -> np.ndarray:
@@ -297,7 +283,7 @@ def _watch(body: Body, transforms: np.ndarray, joints: np.ndarray, side: int, rn
     rest = body.joints[side]
     share = rng.uniform(0.08, 0.20)
     chosen = _near(body, side, rest[1], rest[0], share - 0.06, share + 0.06, 0.06)
-    points = _skin_points(body, transforms, chosen)
+    points = skin(body, transforms, chosen=chosen)
     axis = unit(joints[0] - joints[1])
     origin = points.mean(0)
     width = rng.uniform(0.012, 0.022)
@@ -327,7 +313,7 @@ def _ring(body: Body, transforms: np.ndarray, joints: np.ndarray, side: int, rng
     rest = body.joints[side]
     share = rng.uniform(0.45, 0.62)
     chosen = _near(body, side, rest[base], rest[base + 1], share - 0.12, share + 0.12, 0.014)
-    points = _skin_points(body, transforms, chosen)
+    points = skin(body, transforms, chosen=chosen)
     axis = unit(joints[base + 1] - joints[base])
     origin = joints[base] + (joints[base + 1] - joints[base]) * share
     ring = band(points, origin, axis, rng.uniform(0.002, 0.006), rng.uniform(0.0008, 0.0018))
