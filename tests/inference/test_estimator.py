@@ -188,7 +188,7 @@ def test_a_hand_of_the_frame_before_is_looked_for_where_it_is_seen_but_faintly()
 
     def faint(batch):
         seg_logits, energy_logits = oracle.hand_seg_net(batch)
-        energy = 0.05 / (1 + np.exp(-energy_logits))
+        energy = 0.02 / (1 + np.exp(-energy_logits))
         return seg_logits / 20, np.log(energy / (1 - energy))
 
     def sure(batch):
@@ -434,6 +434,29 @@ def test_swapped_hands_are_set_right_by_the_judge():
         assert hand.present and hand.score > 0.9
         np.testing.assert_allclose(hand.joints_px, sample.joints_px[side], atol=0.3)
         np.testing.assert_allclose(hand.joints_m, sample.joints_m[side], atol=5e-3)
+
+
+def test_of_two_hands_both_may_be_exchanged_where_one_is_doubtful():
+    """Named case: a swapped pair, one of which the judge takes for what HandSegNet says, lost a hand."""
+    sample = drawn_hands(0)
+    oracle = Oracle(sample, make_card())
+
+    def swapped(batch):
+        logits, energies = oracle.hand_seg_net(batch)
+        return logits[:, [0, 2, 1]], energies[:, ::-1]
+
+    estimator = judging(oracle, swapped)
+    locate = estimator.locate
+
+    def unsure(crops, truth):
+        maps, logits = locate(crops, truth)
+        taken_for_right = [crop.side == RIGHT and logit < 0 for crop, logit in zip(crops, logits, strict=True)]
+        return maps, np.where(taken_for_right, 0.5, logits)
+
+    estimator.locate = unsure
+    pose = estimator.estimate(sample.image, sample.camera, HAND_LENGTH_M)
+    assert pose.left.present and pose.right.present
+    np.testing.assert_array_equal(pose.masks, hand_masks(sample))
 
 
 def test_hands_that_the_judge_swaps_are_cut_anew_from_true_masks_too():

@@ -7,12 +7,13 @@ from twohands.geometry.segmentation import log_odds, probability
 from twohands.inference.sides import (
     MEMORY,
     ONE_PLACE_COST,
+    SECOND_HAND,
     SEG_WEIGHT,
     WHOLE_SEG_WEIGHT,
     assign_sides,
     corrected_masks,
-    in_one_place,
     last_word,
+    palms_apart,
 )
 
 NO = np.nan
@@ -48,10 +49,10 @@ def test_the_most_probable_answer(seg_scores, own, turned, source):
 
 def test_mirrored_evidence_gives_the_mirrored_answer():
     rng = np.random.default_rng(0)
-    for _ in range(200):
+    for i in range(200):
         scores, own, turned = rng.random(2), *rng.normal(0, 4, (2, 2))
-        source, values = assign_sides(scores, own, turned)
-        mirrored, mirrored_values = assign_sides(scores[::-1], own[::-1], turned[::-1])
+        source, values = assign_sides(scores, own, turned, apart=i < 100)
+        mirrored, mirrored_values = assign_sides(scores[::-1], own[::-1], turned[::-1], apart=i < 100)
         assert mirrored.tolist() == np.array([1, 0, -1])[source[::-1]].tolist()
         np.testing.assert_array_equal(mirrored_values, values[::-1])
 
@@ -65,6 +66,18 @@ def test_two_hands_in_one_place_need_more_evidence():
     assert assign_sides(scores, doubtful, turned)[0].tolist() == [0, 1]
     assert assign_sides(scores, doubtful, turned, whole=whole)[0].tolist() == [0, -1]
     assert assign_sides(scores, clear, turned, whole=whole)[0].tolist() == [0, 1]
+
+
+def test_the_second_hand_needs_less_evidence_where_it_stands_apart():
+    half = 0.5 * SECOND_HAND / (1 - SEG_WEIGHT)
+    scores, turned = np.array([0.5, 0.5]), np.full(2, NO)
+    beside_a_hand, beside_a_ghost = np.array([-half, 0.1]), np.array([-half, -0.1])
+    assert assign_sides(scores, beside_a_hand, turned)[0].tolist() == [-1, 1]
+    source, values = assign_sides(scores, beside_a_hand, turned, apart=True)
+    assert source.tolist() == [0, 1]
+    np.testing.assert_allclose(values, [0.5 * SECOND_HAND, 0.1 * (1 - SEG_WEIGHT)])
+    assert assign_sides(scores, beside_a_ghost, turned, apart=True)[0].tolist() == [-1, -1]
+    assert assign_sides(scores, np.array([-3 * half, 6.0]), turned, apart=True)[0].tolist() == [-1, 1]
 
 
 def test_whose_hand_it_is_alone_is_told_by_the_whole_of_it():
@@ -97,12 +110,12 @@ def test_the_last_look_has_the_last_word():
     np.testing.assert_allclose(last_word(answer, first, last, scores), [0.5, -0.1, -0.3, 1.5])
 
 
-@pytest.mark.parametrize(("shift_px", "same"), [(9.0, True), (11.0, False)])
-def test_skeletons_on_the_same_palm_are_in_one_place(shift_px, same):
+def test_how_far_palms_are_apart():
     joints_px = np.random.default_rng(0).uniform(0, 100, (2, 21, 2))  # fingers may be anywhere
-    joints_px[1, [0, 9]] = joints_px[0, [0, 9]] + [shift_px, 0]
+    joints_px[1, [0, 9]] = joints_px[0, [0, 9]] + [[3.0, 4.0], [0.0, 15.0]]
     boxes_px = np.array([[0, 0, 100, 80], [0, 0, 50, 50.0]])
-    assert in_one_place(joints_px, boxes_px) == same
+    assert palms_apart(joints_px, boxes_px) == pytest.approx(0.1)
+    assert palms_apart(joints_px[::-1], boxes_px[::-1]) == pytest.approx(0.1)
 
 
 MASKS = np.array([[0, 1, 1, 2, 2, 0]], np.uint8)

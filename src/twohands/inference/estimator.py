@@ -47,13 +47,15 @@ from twohands.inference.engine import Networks, load_networks
 from twohands.inference.looks import Look, geometric_median, in_sight, joint_boxes, mirror_crop
 from twohands.inference.read_out import read_joints
 from twohands.inference.sides import (
+    APART,
     CANDIDATE_THRESHOLD,
+    ONE_PLACE,
     REMEMBERED_THRESHOLD,
     TURN_BELOW,
     assign_sides,
     corrected_masks,
-    in_one_place,
     last_word,
+    palms_apart,
 )
 from twohands.inference.weights import DEFAULT_PRESET, PictureLook, WeightsCard, preset_folder, read_card
 from twohands.skeleton import LEFT, N_JOINTS, RIGHT, ROOT
@@ -334,17 +336,19 @@ class HandEstimator:
         own, turned = np.full((2, 2), np.nan)
         own[look.sides] = look.hand_logits
         looks = {(side, side): look.rows([i]) for i, side in enumerate(look.sides)}
-        doubtful = np.flatnonzero(look.hand_logits < TURN_BELOW)
-        if len(doubtful):
-            mirrored = self.look_at([mirror_crop(look.crops[i]) for i in doubtful])
-            turned[look.sides[doubtful]] = mirrored.hand_logits
-            looks |= {(1 - side, side): mirrored.rows([i]) for i, side in enumerate(look.sides[doubtful])}
+        if (look.hand_logits < TURN_BELOW).any():  # of two, both: they may have been exchanged
+            mirrored = self.look_at([mirror_crop(crop) for crop in look.crops])
+            turned[look.sides] = mirrored.hand_logits
+            looks |= {(1 - side, side): mirrored.rows([i]) for i, side in enumerate(look.sides)}
         whole = None
-        if len(look.sides) == 2 and in_one_place(look.joints_px, boxes.boxes_px):
+        distance = palms_apart(look.joints_px, boxes.boxes_px) if len(look.sides) == 2 else math.inf
+        if distance < ONE_PLACE:
             either = [as_one_hand(masks, boxes.boxes_px, side) for side in (LEFT, RIGHT)]
             alone = self.look_at([self.crop(image, *one, side, camera) for side, one in enumerate(either)])
             whole = alone.hand_logits
-        source, answer = assign_sides(boxes.scores, own, turned, whole=whole, remembered=remembered)
+        source, answer = assign_sides(
+            boxes.scores, own, turned, whole=whole, apart=distance >= APART, remembered=remembered
+        )
         if whole is not None and (source >= 0).sum() == 1:
             looks |= {(side, side): alone.rows([side]) for side in (LEFT, RIGHT)}
         scores = np.where(source >= 0, probability(np.nan_to_num(answer)), boxes.scores)
