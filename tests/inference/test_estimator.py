@@ -419,16 +419,22 @@ def judging(oracle, hand_seg_net):
     return estimator
 
 
+def swapped(oracle):
+    """A HandSegNet that calls the left hand right and the right one left."""
+
+    def hand_seg_net(batch):
+        logits, energies = oracle.hand_seg_net(batch)
+        return logits[:, [0, 2, 1]], energies[:, ::-1]
+
+    return hand_seg_net
+
+
 def test_swapped_hands_are_set_right_by_the_judge():
     """HandSegNet calls the left hand right and the right one left; PoseNet2D does not."""
     sample = drawn_hands(0)
     oracle = Oracle(sample, make_card())
 
-    def swapped(batch):
-        logits, energies = oracle.hand_seg_net(batch)
-        return logits[:, [0, 2, 1]], energies[:, ::-1]
-
-    pose = judging(oracle, swapped).estimate(sample.image, sample.camera, HAND_LENGTH_M)
+    pose = judging(oracle, swapped(oracle)).estimate(sample.image, sample.camera, HAND_LENGTH_M)
     np.testing.assert_array_equal(pose.masks, hand_masks(sample))
     for side, hand in enumerate(pose.hands):
         assert hand.present and hand.score > 0.9
@@ -441,11 +447,7 @@ def test_of_two_hands_both_may_be_exchanged_where_one_is_doubtful():
     sample = drawn_hands(0)
     oracle = Oracle(sample, make_card())
 
-    def swapped(batch):
-        logits, energies = oracle.hand_seg_net(batch)
-        return logits[:, [0, 2, 1]], energies[:, ::-1]
-
-    estimator = judging(oracle, swapped)
+    estimator = judging(oracle, swapped(oracle))
     locate = estimator.locate
 
     def unsure(crops, truth):

@@ -40,7 +40,7 @@ WHOLE_SEG_WEIGHT: Final = 0.4
 earlier weights the parts alone told the side of 91 % of 86 such hands in photographs, the whole of 94 %, HandSegNet of
 67 %. In generated pictures 0.2 to 0.5 are alike; the photographs had a say in this choice and in `TURN_BELOW`'s."""
 APART: Final = 0.4
-"""Two candidates further than this from each other (`palms_apart`) are not one hand found twice. The real crops had a
+"""Two candidates at least this far from each other (`palms_apart`) are not one hand found twice. The real crops had a
 say in this choice: nearer ones are doubles there more often than in generated pictures."""
 SECOND_HAND: Final = 0.5
 """Log-odds given to a candidate `APART` from another that is a hand: who shows one hand mostly shows both. On 1,000
@@ -104,12 +104,13 @@ def assign_sides(
     for sources in itertools.product((-1, 0, 1), repeat=2):
         if sources[0] == sources[1] != -1:
             continue
-        table = values if min(sources) >= 0 else alone
+        both = min(sources) >= 0
+        table = values if both else alone
         terms = [float(table[side, c]) if c >= 0 else np.nan for side, c in enumerate(sources)]
-        if apart and max(terms) > 0 and min(sources) >= 0:
+        if both and apart and max(terms) > 0:
             terms[int(np.argmin(terms))] += SECOND_HAND
         total = np.nansum(terms)
-        if whole is not None and min(sources) >= 0:
+        if both and whole is not None:
             total -= ONE_PLACE_COST
         if total > best:
             best, answer, logits = total, sources, terms

@@ -34,7 +34,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import resources
@@ -42,6 +41,7 @@ from pathlib import Path
 from typing import Any
 
 from twohands.errors import CheckpointError
+from twohands.files import write_whole
 
 DEFAULT_PRESET = "fast"
 CARD_VERSION = 1
@@ -253,10 +253,8 @@ def read_card(folder: Path) -> WeightsCard:
 
 
 def write_card(folder: Path, card: Mapping[str, Any]) -> None:
-    """Write a preset's `card.json` atomically; an old one is replaced."""
-    partial = folder / "card.json.partial"
-    partial.write_text(json.dumps(card, indent=2) + "\n", encoding="utf-8")
-    os.replace(partial, folder / "card.json")
+    """Write a preset's `card.json`; it appears whole or not at all, and an old one is replaced."""
+    write_whole(folder / "card.json", (json.dumps(card, indent=2) + "\n").encode())
 
 
 def network_files(folder: Path, card: WeightsCard) -> dict[str, Path]:

@@ -229,6 +229,11 @@ def forward_kinematics(body: Body, rotations: np.ndarray) -> np.ndarray:
     return arm_kinematics(body.heads.reshape(2, BONES_PER_SIDE, 3), arms).reshape(*batch, -1, 3, 4)
 
 
+def each_moved(transforms: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """(..., 3) points, each after its own of the transforms (..., 3, 4)."""
+    return (transforms[..., :3] @ points[..., None])[..., 0] + transforms[..., 3]
+
+
 def carried(joints: np.ndarray, transforms: np.ndarray) -> np.ndarray:
     """(..., 22, 3) joints after posing: elbow, then the 21 hand joints; fingertips follow the last bone.
 
@@ -236,8 +241,7 @@ def carried(joints: np.ndarray, transforms: np.ndarray) -> np.ndarray:
         joints: (..., 22, 3) of one arm at rest.
         transforms: (..., 24, 3, 4) of its bones, from `arm_kinematics`.
     """
-    moved = transforms[..., _CARRIERS, :, :]
-    return (moved[..., :3] @ joints[..., None])[..., 0] + moved[..., 3]
+    return each_moved(transforms[..., _CARRIERS, :, :], joints)
 
 
 def posed_joints(body: Body, transforms: np.ndarray) -> np.ndarray:
@@ -265,17 +269,12 @@ def vertex_moves(
     return blended + (1 - weights.sum(1))[:, None, None] * (np.eye(3, 4) if view is None else view)
 
 
-def moved(points: np.ndarray, moves: np.ndarray) -> np.ndarray:
-    """(N, 3) points, each moved by its own of the transforms (N, 3, 4)."""
-    return np.einsum("vab,vb->va", moves[..., :3], points) + moves[..., 3]
-
-
 def skin(
     body: Body, transforms: np.ndarray, view: np.ndarray | None = None, chosen: np.ndarray | None = None
 ) -> np.ndarray:
     """(N, 3) posed vertices of a person; arguments as those of `vertex_moves`."""
     points = body.vertices if chosen is None else body.vertices[chosen]
-    return moved(points, vertex_moves(body.asset, transforms, view, chosen))
+    return each_moved(vertex_moves(body.asset, transforms, view, chosen), points)
 
 
 def part_labels(asset: ArmsAsset) -> np.ndarray:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import platform
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,6 +12,7 @@ from typing import Any
 
 from twohands import __version__
 from twohands.errors import InputError
+from twohands.files import write_whole
 from twohands.instance_index import MANIFEST_FILE
 
 MADE_WITH = "made_with"
@@ -65,21 +65,6 @@ def claimed_folder(folder: Path, identity: dict[str, Any], made_with: dict[str, 
         raise InputError(f"output {folder}: cannot be written: {error.strerror}") from error
     with _locked(path):
         yield
-
-
-def write_whole(path: Path, content: bytes) -> None:
-    """Writes a file so that it appears whole or not at all.
-
-    Raises:
-        OSError: it cannot be written.
-    """
-    partial = path.with_name(f".{path.name}.partial")
-    try:
-        partial.write_bytes(content)
-        os.replace(partial, path)
-    except OSError:
-        partial.unlink(missing_ok=True)
-        raise
 
 
 def _check_identity(folder: Path, path: Path, identity: dict[str, Any]) -> list[dict[str, str]]:

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import BinaryIO, Protocol
 
 from twohands.errors import DataFormatError, InputError
+from twohands.files import write_whole
 from twohands.instance_index import (
     INDEX_FILE,
     SHARD_PATTERN,
@@ -30,7 +31,6 @@ from twohands.instance_index import (
     parse_index,
     shard_name,
 )
-from twohands.synth.manifest import write_whole
 
 STAGING = ".staging"
 """Folder in which an instance is put together before it is renamed to its own."""

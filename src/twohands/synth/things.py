@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twohands.skeleton import LEFT, PART_NAMES, RIGHT, part_label
-from twohands.synth.body import Body, bone, moved, skin, vertex_moves
+from twohands.synth.body import Body, bone, each_moved, skin, vertex_moves
 from twohands.synth.collision import capsules, segment_distance
 from twohands.synth.config import SynthConfig
 from twohands.synth.pose import dot, unit
@@ -259,7 +259,7 @@ def _short_sleeve(body: Body, transforms: np.ndarray, side: int, albedo: np.ndar
     apart = ((tube[:, None] - body.vertices[chosen]) ** 2).sum(-1)
     share = np.exp(-apart / (2 * SKIN_AROUND_M**2)) + 1e-30
     skin_moves = vertex_moves(body.asset, transforms, chosen=chosen)
-    vertices = moved(tube, np.einsum("vn,nab->vab", share / share.sum(1, keepdims=True), skin_moves))
+    vertices = each_moved(np.einsum("vn,nab->vab", share / share.sum(1, keepdims=True), skin_moves), tube)
     mesh = vertices, vertex_normals(vertices, faces), faces, place
     return _thing(mesh, albedo, albedo * 0.8, 0.0, 0.85, label)
 

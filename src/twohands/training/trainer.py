@@ -6,7 +6,6 @@ import copy
 import csv
 import ctypes
 import json
-import os
 import platform
 import signal
 import threading
@@ -21,6 +20,7 @@ from lightning_fabric import Fabric
 from torch import Tensor, nn
 
 from twohands.errors import CheckpointError, InputError, TwoHandsError
+from twohands.files import write_whole
 from twohands.models.checkpoint import load_tensors, save_network, save_tensors
 from twohands.training.batches import (
     Batch,
@@ -210,7 +210,7 @@ def train(
         if not resume:
             state.save(state_path, config)  # before the config: a run that was killed at once can be resumed too
         _cut_log(out / LOG_FILE, state.iteration)
-        _write_text(out / CONFIG_FILE, json.dumps(config.to_dict(), indent=2) + "\n")
+        write_whole(out / CONFIG_FILE, (json.dumps(config.to_dict(), indent=2) + "\n").encode())
 
     held_out_batches = validation_batches(held_out, config, open_segmentation) if first else []
     log = _Log(out / LOG_FILE, report) if first else None
@@ -431,7 +431,7 @@ class _Log:
     def __init__(self, path: Path, report: Callable[[str], None]) -> None:
         self.path, self.report = path, report
         if not path.exists():
-            _write_text(path, ",".join(LOG_COLUMNS) + "\n")
+            write_whole(path, (",".join(LOG_COLUMNS) + "\n").encode())
 
     def write(self, state: TrainState, split: str, values: dict[str, float]) -> None:
         minutes = f"{state.elapsed_s / 60:.3f}"
@@ -450,14 +450,8 @@ def _cut_log(path: Path, iteration: int) -> None:
         return
     header, *rows = path.read_text(encoding="utf-8").split("\n")[:-1]
     kept = [row for row in rows if iteration and int(row.split(",", 1)[0]) <= iteration]
-    _write_text(path, "\n".join([header, *kept]) + "\n")
+    write_whole(path, ("\n".join([header, *kept]) + "\n").encode())
 
 
 def _below(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
     return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}
-
-
-def _write_text(path: Path, text: str) -> None:
-    partial = path.with_name(path.name + ".partial")
-    partial.write_text(text, encoding="utf-8")
-    os.replace(partial, path)
