@@ -1,9 +1,9 @@
-"""`inference.looks`: the place that several looks agree on."""
+"""`inference.looks`: the place that several looks agree on, and how well they do."""
 
 import numpy as np
 import pytest
 
-from twohands.inference.looks import geometric_median
+from twohands.inference.looks import AGREEMENT, agreement, geometric_median
 
 
 @pytest.mark.parametrize(
@@ -29,3 +29,25 @@ def test_geometric_median_takes_every_joint_by_itself_and_turns_with_the_places(
     np.testing.assert_allclose(median[1, 4], geometric_median(points[:, 1, 4]))
     turn = np.array([[0.6, -0.8], [0.8, 0.6]])
     np.testing.assert_allclose(geometric_median(points @ turn.T + [7, -2]), median @ turn.T + [7, -2], atol=1e-9)
+
+
+def test_agreement_by_hand():
+    median = np.zeros((1, 21, 2))
+    median[0, 0] = [200, 100]  # the box of all joints is 200 x 100
+    away = 200 * AGREEMENT
+    points = np.stack([median, median])
+    points[:, 0, 1] = [[away, 0], [0, -away]]  # both looks off by as much as counts half
+    points[0, 0, 2, 0] = np.sqrt(2) * away  # one look only, and the same root mean square
+    points[:, 0, 3, 0] = [3 * away, -3 * away]
+    np.testing.assert_allclose(agreement(points, median)[0, :5], [1, 0.5, 0.5, 0.1, 1])
+
+
+def test_agreement_is_that_of_a_share_of_the_hand_and_a_single_look_agrees_with_itself():
+    points = np.random.default_rng(2).normal(size=(7, 3, 21, 2))
+    median = geometric_median(points)
+    shares = agreement(points, median)
+    assert shares.shape == (3, 21)
+    assert ((shares > 0) & (shares < 1)).all()
+    np.testing.assert_allclose(agreement(30 * points + [7, -2], 30 * median + [7, -2]), shares)
+    assert (agreement(points[:1], points[0]) == 1).all()
+    assert (agreement(np.zeros((2, 1, 21, 2)), np.zeros((1, 21, 2))) == 1).all()  # a hand without extent

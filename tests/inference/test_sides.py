@@ -7,6 +7,7 @@ from twohands.geometry.segmentation import log_odds, probability
 from twohands.inference.sides import (
     MEMORY,
     ONE_PLACE_COST,
+    PROVISIONAL,
     SECOND_HAND,
     SEG_WEIGHT,
     WHOLE_SEG_WEIGHT,
@@ -76,8 +77,21 @@ def test_the_second_hand_needs_less_evidence_where_it_stands_apart():
     source, values = assign_sides(scores, beside_a_hand, turned, apart=True)
     assert source.tolist() == [0, 1]
     np.testing.assert_allclose(values, [0.5 * SECOND_HAND, 0.1 * (1 - SEG_WEIGHT)])
-    assert assign_sides(scores, beside_a_ghost, turned, apart=True)[0].tolist() == [-1, -1]
-    assert assign_sides(scores, np.array([-3 * half, 6.0]), turned, apart=True)[0].tolist() == [-1, 1]
+    ghosts, values = assign_sides(scores, beside_a_ghost, turned, apart=True)
+    assert ghosts.tolist() == [0, 1]  # for the last word to decide
+    np.testing.assert_allclose(values, [-0.5 * SECOND_HAND, -0.1 * (1 - SEG_WEIGHT)])
+
+
+def test_what_no_other_candidate_is_near_may_wait_for_the_last_word():
+    least = -PROVISIONAL / (1 - SEG_WEIGHT)
+    scores, turned, below, above = np.array([0.5, 0.5]), np.full(2, NO), least - 0.1, least + 0.1
+    assert assign_sides(scores, np.array([np.nan, above]), turned)[0].tolist() == [-1, 1]
+    assert assign_sides(scores, np.array([np.nan, below]), turned)[0].tolist() == [-1, -1]
+    assert assign_sides(scores, np.array([above, above]), turned, apart=True)[0].tolist() == [0, 1]
+    assert assign_sides(scores, np.array([above, below]), turned, apart=True)[0].tolist() == [0, -1]
+    assert assign_sides(scores, np.array([above, above]), turned)[0].tolist() == [-1, -1]
+    _, values = assign_sides(scores, np.array([np.nan, above]), turned)
+    np.testing.assert_allclose(values, [np.nan, above * (1 - SEG_WEIGHT)])
 
 
 def test_whose_hand_it_is_alone_is_told_by_the_whole_of_it():
@@ -104,9 +118,9 @@ def test_a_hand_that_was_there_before_needs_less_evidence_and_a_new_one_more():
 
 
 def test_the_last_look_has_the_last_word():
-    """0.3 of what PoseNet2D takes back, and 4 for each unit of the joints' mean score beside 0.8."""
+    """0.3 of what PoseNet2D takes back, and 4 for each unit of the joints' mean score beside 0.775."""
     answer, first, last = np.full(4, 0.5), np.full(4, 1.0), np.array([1.0, -1.0, 1.0, 3.0])
-    scores = np.repeat([[0.8], [0.8], [0.6], [0.9]], 21, axis=1)
+    scores = np.repeat([[0.775], [0.775], [0.575], [0.875]], 21, axis=1)
     np.testing.assert_allclose(last_word(answer, first, last, scores), [0.5, -0.1, -0.3, 1.5])
 
 

@@ -44,7 +44,7 @@ from twohands.geometry.segmentation import (
     unmirrored,
 )
 from twohands.inference.engine import Networks, load_networks
-from twohands.inference.looks import Look, geometric_median, in_sight, joint_boxes, mirror_crop
+from twohands.inference.looks import Look, agreement, geometric_median, in_sight, joint_boxes, mirror_crop
 from twohands.inference.read_out import read_joints
 from twohands.inference.sides import (
     APART,
@@ -369,7 +369,8 @@ class HandEstimator:
             canonical: (B, 21, 3), from that look.
 
         Returns:
-            The look with the geometric median of the joints and their mean scores, and the mean canonical pose.
+            The look with the geometric median of the joints, scores that are the geometric mean of the joints' mean
+            scores and of how well the looks agree (`looks.agreement`), and the mean canonical pose.
         """
         rows = np.flatnonzero(in_sight(look.joints_px, image.shape[:2]))
         if not len(rows):
@@ -387,8 +388,10 @@ class HandEstimator:
             looks.append(again)
             poses.append(unrolled_canonical(self.lift(again), rays, roll))
         joints_px, joint_scores, canonical = look.joints_px.copy(), look.joint_scores.copy(), canonical.copy()
-        joints_px[rows] = geometric_median(np.array([each.joints_px for each in looks]))
-        joint_scores[rows] = np.mean([each.joint_scores for each in looks], axis=0)
+        seen_px = np.array([each.joints_px for each in looks])
+        joints_px[rows] = geometric_median(seen_px)
+        agreed = agreement(seen_px, joints_px[rows])
+        joint_scores[rows] = np.sqrt(np.mean([each.joint_scores for each in looks], axis=0) * agreed)
         canonical[rows] = np.mean(poses, axis=0)
         return replace(look, joints_px=joints_px, joint_scores=joint_scores), canonical
 

@@ -42,17 +42,19 @@ earlier weights the parts alone told the side of 91 % of 86 such hands in photog
 APART: Final = 0.4
 """Two candidates at least this far from each other (`palms_apart`) are not one hand found twice. The real crops had a
 say in this choice: nearer ones are doubles there more often than in generated pictures."""
-SECOND_HAND: Final = 0.5
-"""Log-odds given to a candidate `APART` from another that is a hand: who shows one hand mostly shows both. On 1,000
-pictures of preset wild and 700 of hands held up, neither trained nor tested on, preset `accurate` so misses 98 instead
-of 111 of 2,722 hands and invents 20 instead of 17, preset `fast` 107 instead of 120 and 26 instead of 23. 1.0 finds two
-more, and `fast` invents seven more."""
+SECOND_HAND: Final = 0.75
+"""Log-odds given to a candidate `APART` from another that is a hand: who shows one hand mostly shows both. Chosen with
+`PROVISIONAL` and `SCORE_MIDDLE` on 1,400 pictures of preset wild, neither trained nor tested on: docs/experiments.md,
+*The last word comes last*."""
+PROVISIONAL: Final = 1.0
+"""Log-odds below 0 down to which a candidate that no other is near may still be taken for a hand by the last word,
+which knows more: it gives a hand of which all is certain 0.9, and takes what PoseNet2D says in a better crop."""
 SCORE_WEIGHT: Final = 4.0
 """Log-odds for the mean score, 0..1, of a hand's joints in the last look at it, less `SCORE_MIDDLE`: the joints of what
 is no hand are nowhere in particular. Chosen on 4,384 hands in generated pictures and videos, of which it costs 10 (9 of
 the 693 of preset wild), and 114 places in photographs and procedural backgrounds that both networks of preset `fast`
 had taken for hands, of which 67 remain; two videos of the test set gave the idea. 3 to 6 are alike."""
-SCORE_MIDDLE: Final = 0.8
+SCORE_MIDDLE: Final = 0.775
 """Mean score that speaks neither for nor against a hand."""
 REMEMBERED_THRESHOLD: Final = 0.1
 """As `CANDIDATE_THRESHOLD`, for a hand that was there one frame of a video before."""
@@ -71,10 +73,11 @@ def assign_sides(
     apart: bool = False,
     remembered: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The most probable answer to which candidate is which hand.
+    """The most probable answer to which candidate is which hand, before `last_word`.
 
     Every candidate is the hand that it was found as, the other one, or none; each hand is at most one of them. The
-    answer maximises the sum of the log-odds of the hands that are there.
+    answer maximises the sum of the log-odds of the hands that are there; with `PROVISIONAL` more for each of them where
+    no two candidates are near each other.
 
     Args:
         seg_scores: (2,) HandSegNet's scores of the candidates LEFT and RIGHT, 0..1.
@@ -100,6 +103,7 @@ def assign_sides(
     if whole is not None:
         either = WHOLE_SEG_WEIGHT * seg + (1 - WHOLE_SEG_WEIGHT) * whole
         alone = np.where(np.eye(2) > 0, either + memory, -np.inf)
+    provisional = PROVISIONAL if apart or np.isnan(own).any() else 0.0
     best, answer, logits = 0.0, (-1, -1), [np.nan, np.nan]
     for sources in itertools.product((-1, 0, 1), repeat=2):
         if sources[0] == sources[1] != -1:
@@ -109,7 +113,7 @@ def assign_sides(
         terms = [float(table[side, c]) if c >= 0 else np.nan for side, c in enumerate(sources)]
         if both and apart and max(terms) > 0:
             terms[int(np.argmin(terms))] += SECOND_HAND
-        total = np.nansum(terms)
+        total = np.nansum(terms) + provisional * np.isfinite(terms).sum()
         if both and whole is not None:
             total -= ONE_PLACE_COST
         if total > best:
