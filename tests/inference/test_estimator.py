@@ -535,7 +535,7 @@ def test_a_hand_found_as_both_is_judged_by_the_whole_of_it():
     np.testing.assert_allclose(pose.left.joints_px, sample.joints_px[LEFT], atol=0.3)
 
 
-@pytest.mark.parametrize("scores", [0.9, 0.1])
+@pytest.mark.parametrize("scores", [0.9, 0.0])
 def test_a_hand_with_its_joints_nowhere_in_particular_is_none(scores):
     """HandSegNet is sure, PoseNet2D's judge is not; the right hand's maps have the last word."""
     sample = drawn_hands(2)
