@@ -80,17 +80,19 @@ def test_the_second_hand_needs_less_evidence_where_it_stands_apart():
     ghosts, values = assign_sides(scores, beside_a_ghost, turned, apart=True)
     assert ghosts.tolist() == [0, 1]  # for the last word to decide
     np.testing.assert_allclose(values, [-0.5 * SECOND_HAND, -0.1 * (1 - SEG_WEIGHT)])
+    too_little = -half - (PROVISIONAL + SECOND_HAND) / (1 - SEG_WEIGHT)
+    assert assign_sides(scores, np.array([too_little, 6.0]), turned, apart=True)[0].tolist() == [-1, 1]
 
 
 def test_what_no_other_candidate_is_near_may_wait_for_the_last_word():
     least = -PROVISIONAL / (1 - SEG_WEIGHT)
     scores, turned, below, above = np.array([0.5, 0.5]), np.full(2, NO), least - 0.1, least + 0.1
-    assert assign_sides(scores, np.array([np.nan, above]), turned)[0].tolist() == [-1, 1]
-    assert assign_sides(scores, np.array([np.nan, below]), turned)[0].tolist() == [-1, -1]
+    assert assign_sides(scores, np.array([np.nan, above]), turned, apart=True)[0].tolist() == [-1, 1]
+    assert assign_sides(scores, np.array([np.nan, below]), turned, apart=True)[0].tolist() == [-1, -1]
     assert assign_sides(scores, np.array([above, above]), turned, apart=True)[0].tolist() == [0, 1]
     assert assign_sides(scores, np.array([above, below]), turned, apart=True)[0].tolist() == [0, -1]
     assert assign_sides(scores, np.array([above, above]), turned)[0].tolist() == [-1, -1]
-    _, values = assign_sides(scores, np.array([np.nan, above]), turned)
+    _, values = assign_sides(scores, np.array([np.nan, above]), turned, apart=True)
     np.testing.assert_allclose(values, [np.nan, above * (1 - SEG_WEIGHT)])
 
 

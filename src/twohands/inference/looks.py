@@ -102,9 +102,9 @@ def agreement(points_px: np.ndarray, median_px: np.ndarray) -> np.ndarray:
         (B, 21) 0..1: 1 / (1 + (d / (`AGREEMENT` s))^2), with d the root mean square distance from the median and s the
         longer side of the box of all joints; 1 for a single look.
     """
-    off_px = np.sqrt(((points_px - median_px) ** 2).sum(axis=-1).mean(axis=0))
-    side_px = np.ptp(median_px, axis=-2).max(axis=-1, keepdims=True)
-    return 1 / (1 + (off_px / (AGREEMENT * np.maximum(side_px, 1e-6))) ** 2)
+    squares = ((points_px - median_px) ** 2).sum(axis=-1).mean(axis=0)
+    half_px = AGREEMENT * np.maximum(np.ptp(median_px, axis=-2).max(axis=-1, keepdims=True), 1e-6)
+    return 1 / (1 + squares / half_px**2)
 
 
 def joint_boxes(joints_px: np.ndarray, image_size: tuple[int, int], otherwise_px: np.ndarray) -> np.ndarray:

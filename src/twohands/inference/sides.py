@@ -19,8 +19,8 @@ CANDIDATE_THRESHOLD: Final = 0.2
 """HandSegNet's score (`geometry.segmentation.hand_scores`) from which on PoseNet2D looks at a candidate.
 
 This and the next four were chosen together, with earlier weights, on generated pictures that are neither trained nor
-tested on, and on the photographs that training puts behind hands; 0.3, as it was then, misses two more hands where
-`SECOND_HAND` was chosen.
+tested on, and on the photographs that training puts behind hands; 0.3, as it was then, misses two more of 2,722 hands
+(docs/experiments.md, *Who shows one hand mostly shows both*).
 """
 TURN_BELOW: Final = 0.0
 """Log-odds of PoseNet2D for any candidate below which it looks at the mirror images too: at 1 % of the candidates at an
@@ -51,9 +51,10 @@ PROVISIONAL: Final = 1.0
 which knows more: it gives a hand of which all is certain 0.9, and takes what PoseNet2D says in a better crop."""
 SCORE_WEIGHT: Final = 4.0
 """Log-odds for the mean score, 0..1, of a hand's joints in the last look at it, less `SCORE_MIDDLE`: the joints of what
-is no hand are nowhere in particular. Chosen on 4,384 hands in generated pictures and videos, of which it costs 10 (9 of
-the 693 of preset wild), and 114 places in photographs and procedural backgrounds that both networks of preset `fast`
-had taken for hands, of which 67 remain; two videos of the test set gave the idea. 3 to 6 are alike."""
+is no hand are nowhere in particular. Chosen, with 0.8 in the middle, on 4,384 hands in generated pictures and videos,
+of which it costs 10 (9 of the 693 of preset wild), and 114 places in photographs and procedural backgrounds that both
+networks of preset `fast` had taken for hands, of which 67 remain; two videos of the test set gave the idea. 3 to 6 are
+alike."""
 SCORE_MIDDLE: Final = 0.775
 """Mean score that speaks neither for nor against a hand."""
 REMEMBERED_THRESHOLD: Final = 0.1
@@ -77,7 +78,7 @@ def assign_sides(
 
     Every candidate is the hand that it was found as, the other one, or none; each hand is at most one of them. The
     answer maximises the sum of the log-odds of the hands that are there; with `PROVISIONAL` more for each of them where
-    no two candidates are near each other.
+    the candidates are apart.
 
     Args:
         seg_scores: (2,) HandSegNet's scores of the candidates LEFT and RIGHT, 0..1.
@@ -87,7 +88,7 @@ def assign_sides(
         whole: (2,) where the candidates are in `ONE_PLACE`, PoseNet2D's log-odds that they are one left hand, or one
             right hand (`geometry.segmentation.as_one_hand`); what it says of one candidate counts for two hands only
             then. None where they are not.
-        apart: whether the candidates are `APART`.
+        apart: whether the candidates are `APART`; a candidate that is alone is, too.
         remembered: (2,) bool, which hands were there one frame before; None where nothing is known.
 
     Returns:
@@ -103,7 +104,7 @@ def assign_sides(
     if whole is not None:
         either = WHOLE_SEG_WEIGHT * seg + (1 - WHOLE_SEG_WEIGHT) * whole
         alone = np.where(np.eye(2) > 0, either + memory, -np.inf)
-    provisional = PROVISIONAL if apart or np.isnan(own).any() else 0.0
+    provisional = PROVISIONAL if apart else 0.0
     best, answer, logits = 0.0, (-1, -1), [np.nan, np.nan]
     for sources in itertools.product((-1, 0, 1), repeat=2):
         if sources[0] == sources[1] != -1:
