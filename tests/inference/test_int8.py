@@ -15,7 +15,7 @@ from twohands.errors import CheckpointError
 from twohands.geometry.segmentation import letterbox, masks_from_logits, network_input
 from twohands.inference.engine import OpenVinoNetwork, load_networks
 from twohands.inference.int8 import activation_peaks, quantise
-from twohands.inference.runtime import open_core
+from twohands.inference.runtime import open_core, read_network
 from twohands.inference.sources import list_images, read_image
 from twohands.inference.weights import DEFAULT_PRESET, preset_folder, read_card
 
@@ -57,7 +57,7 @@ def test_peaks_are_the_largest_values_over_all_batches():
 
 
 def test_unknown_activations_are_refused(tiny):
-    model = open_core().read_model(tiny / "hand_seg_net.onnx")
+    model = read_network(open_core(), tiny / "hand_seg_net.onnx")
     with pytest.raises(CheckpointError, match="int8 names 'other'"):
         quantise(model, {"other": 1.0})
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from twohands.errors import CheckpointError
 from twohands.inference.int8 import quantise
-from twohands.inference.runtime import open_core
+from twohands.inference.runtime import open_core, read_network
 from twohands.inference.weights import WeightsCard, network_files
 from twohands.skeleton import N_JOINTS
 
@@ -75,7 +75,7 @@ class OpenVinoNetwork:
     ) -> None:
         core = open_core()
         try:
-            model = core.read_model(path)
+            model = read_network(core, path)
         except RuntimeError as error:
             raise CheckpointError(f"{path}: not a readable ONNX network") from error
         found_in = [_channels(port) for port in model.inputs]

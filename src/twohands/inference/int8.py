@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from twohands.errors import CheckpointError
-from twohands.inference.runtime import open_core
+from twohands.inference.runtime import constant_values, open_core, read_network
 
 ACTIVATION_LEVELS = 256
 WEIGHT_LEVELS = 255
@@ -33,7 +33,7 @@ def activation_peaks(path: Path, batches: Iterable[np.ndarray]) -> dict[str, flo
         Name of the ReLU in the file -> its peak, larger than 0; ReLUs that never let anything through are left out.
     """
     core = open_core()
-    model = core.read_model(path)
+    model = read_network(core, path)
     rectified, own_outputs = _rectified(model), len(model.outputs)
     model.add_outputs([node.output(0) for node in rectified])
     network = core.compile_model(model, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
@@ -49,7 +49,7 @@ def quantise(model: Any, peaks: Mapping[str, float]) -> None:
     """Make a network round its activations and weights to 8 bits, in place.
 
     Args:
-        model: as `openvino.Core.read_model` gives it.
+        model: as `runtime.read_network` gives it.
         peaks: of `activation_peaks`; activations beyond their peak are clipped.
 
     Raises:
@@ -72,7 +72,7 @@ def quantise(model: Any, peaks: Mapping[str, float]) -> None:
             continue
         if node.input_value(0).get_node().get_friendly_name() not in rounded:
             continue
-        peak = np.abs(_constant(node.input_value(1))).max(axis=(1, 2, 3), keepdims=True)
+        peak = np.abs(constant_values(node.input_value(1))).max(axis=(1, 2, 3), keepdims=True)
         peak = np.maximum(peak, np.finfo(np.float32).tiny)
         node.input(1).replace_source_output(_rounding(node.input_value(1), -peak, peak, WEIGHT_LEVELS).output(0))
     model.validate_nodes_and_infer_types()
@@ -90,11 +90,3 @@ def _rounding(source: Any, low: Any, high: Any, levels: int) -> Any:
 
     low, high = opset.constant(np.asarray(low, np.float32)), opset.constant(np.asarray(high, np.float32))
     return opset.fake_quantize(source, low, high, low, high, levels)
-
-
-def _constant(source: Any) -> np.ndarray:
-    """Values of a weight, stored as float32 or as float16 to be converted."""
-    node = source.get_node()
-    if node.get_type_name() == "Convert":
-        node = node.input_value(0).get_node()
-    return np.asarray(node.data, np.float32)

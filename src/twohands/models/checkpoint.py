@@ -1,7 +1,7 @@
 """Weights of one network in one file, with what is needed to build the network again. No pickle.
 
-The trainer writes safetensors; the ONNX files of a preset hold the same weights (in half precision) and the same
-metadata, so that training can go on from shipped weights.
+The trainer writes safetensors; the ONNX files of a preset hold the same weights (rounded to 8 bits or half precision)
+and the same metadata, so that training can go on from shipped weights.
 """
 
 from __future__ import annotations
@@ -24,6 +24,8 @@ from twohands.models.presets import NETWORKS, build_network, config_from_dict
 FORMAT = "twohands-checkpoint-1"
 HALF = "_half"
 """Ending of the name of a weight that an ONNX file stores in half precision."""
+BYTES, SCALE = "_bytes", "_scale"
+"""Endings of the names of a kernel that it stores in 8 bits, and of the scale of each of its output channels."""
 
 
 def save_tensors(tensors: Mapping[str, Tensor], metadata: Mapping[str, str], path: str | Path) -> None:
@@ -99,12 +101,16 @@ def _load_onnx(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
         raise CheckpointError(f"{path} is no readable ONNX file: {error}") from error
     metadata = {entry.key: entry.value for entry in model.metadata_props}
     prefix = metadata.get("prefix", "")
+    stored = {entry.name: onnx.numpy_helper.to_array(entry) for entry in model.graph.initializer}
     tensors = {}
-    for entry in model.graph.initializer:
-        name = entry.name.removesuffix(HALF)
-        if name.startswith(prefix):
-            values = onnx.numpy_helper.to_array(entry)
-            tensors[name.removeprefix(prefix)] = torch.from_numpy(values.copy())
+    for name, values in stored.items():
+        plain = name.removesuffix(HALF).removesuffix(BYTES)
+        if plain + BYTES == name:
+            if plain + SCALE not in stored:
+                raise CheckpointError(f"{path}: no scale for '{name}'")
+            values = values * stored[plain + SCALE]
+        if plain.startswith(prefix):
+            tensors[plain.removeprefix(prefix)] = torch.from_numpy(values.copy())
     return tensors, metadata
 
 

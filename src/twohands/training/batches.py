@@ -121,7 +121,7 @@ def segmentation_batch(samples: Sequence[HandSample], config: TrainConfig, rngs:
         image (B, H, W, 3) uint8, classes (B, H, W) uint8, boxes_px (B, 2, 4) float32, present (B, 2) bool.
     """
     net, augment = config.networks.hand_seg_net, config.augment
-    samples = _with_border(samples, augment.cut, rngs)
+    samples = with_border(samples, augment.cut, rngs)
     targets = [
         segmentation_target(
             sample,
@@ -137,7 +137,7 @@ def segmentation_batch(samples: Sequence[HandSample], config: TrainConfig, rngs:
     return {name: torch.from_numpy(np.stack([getattr(t, name) for t in targets])) for name in names}
 
 
-def _with_border(samples: Sequence[HandSample], share: float, rngs: Rngs) -> Sequence[HandSample]:
+def with_border(samples: Sequence[HandSample], share: float, rngs: Rngs) -> Sequence[HandSample]:
     """The pictures, a share of them cut so that a hand is leaving them (`AugmentConfig.cut`)."""
     if not (rngs and share):
         return samples
@@ -216,7 +216,7 @@ def pose_batch(
     """
     size = config.networks.pose_net_2d.crop_size
     judged = config.networks.pose_net_2d.judge
-    samples = _with_border(samples, config.augment.cut, rngs)
+    samples = with_border(samples, config.augment.cut, rngs)
     targets: list[PoseTarget] = []
     lots: list[float] = []
     shares = [config.augment.predicted if any(sample.present) else 1.0 for sample in samples]
@@ -465,12 +465,12 @@ def _loader(dataset: Dataset[Batch], steps: StepsFrom, workers: int) -> DataLoad
         sampler=steps,
         num_workers=workers,
         prefetch_factor=4 if workers else None,
-        worker_init_fn=_calm_worker,
+        worker_init_fn=calm_worker,
         collate_fn=_unchanged,
     )
 
 
-def _calm_worker(_: int) -> None:
+def calm_worker(_: int) -> None:
     """Leave requests to end and, where there are too few for all, the cores to the training process: it finishes its
     step and ends its workers, and its threads wait for each other, so that one that has to share its core holds up all
     of them."""
