@@ -29,6 +29,7 @@ import torch
 from torch import Tensor, nn
 from torch.utils.data import DataLoader, Dataset
 
+from twohands.cli.output import check_output_folder
 from twohands.datasets.pose_targets import Segmentation
 from twohands.errors import TwoHandsError
 from twohands.inference.weights import network_files, read_card
@@ -77,6 +78,7 @@ FIRST_CROPS = 12_000
 """That must be there before the first step."""
 COVERED = 0.25
 """Share of the crops over which a part of another one is laid."""
+LEAST_BATCH = 8
 REPORT_S = 15.0
 """Seconds between two reports."""
 END = 1_000_000_000
@@ -556,7 +558,12 @@ def main() -> int:
     parser.add_argument("--rate", type=float, default=8e-4, help="first learning rate")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
+    if options.batch < LEAST_BATCH:
+        parser.error(f"--batch must be at least {LEAST_BATCH}, got {options.batch}")
+    if not 0 < options.first <= options.pools[0]:
+        parser.error(f"--first must be positive and not more than --pools keeps, got {options.first}")
     try:
+        check_output_folder(options.out, overwrite=False)
         burst(options)
     except TwoHandsError as error:
         print(f"error: {error}", file=sys.stderr)
