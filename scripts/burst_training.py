@@ -14,11 +14,9 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import math
 import sys
 import threading
 import time
-from collections import defaultdict
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
@@ -26,6 +24,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from lightning_fabric import Fabric
 from torch import Tensor, nn
 from torch.utils.data import DataLoader, Dataset
 
@@ -33,9 +32,8 @@ from twohands.cli.output import check_output_folder
 from twohands.datasets.pose_targets import Segmentation
 from twohands.errors import TwoHandsError
 from twohands.inference.weights import network_files, read_card
-from twohands.models.blocks import freeze_batch_norm
-from twohands.models.checkpoint import load_network, save_network
-from twohands.models.pose_net_2d import PoseNet2D
+from twohands.models.checkpoint import save_network
+from twohands.models.presets import NetworkName
 from twohands.training.batches import (
     Batch,
     BatchDataset,
@@ -48,11 +46,9 @@ from twohands.training.batches import (
     with_border,
 )
 from twohands.training.config import TrainConfig, recipe, with_override
-from twohands.training.muon import COEFFICIENTS, STEPS, UPDATE_RMS, Muon
-from twohands.training.schedule import learning_rate
+from twohands.training.schedule import learning_rate, update_average
 from twohands.training.sources import open_source
-from twohands.training.stages import Pose3DStage, SegmentationStage, Stage
-from twohands.training.trainer import build_optimizer
+from twohands.training.trainer import Running, fresh_state, take_step, validate
 
 SETTINGS = (
     "loss.place=60",
@@ -74,6 +70,8 @@ PICTURES = 8
 """That a process makes crops of at a time."""
 REPEATS = 3
 """Crops of one hand in one picture, each cut, turned and masked in its own way: most of the work is the picture."""
+FIRST_STREAM = 3
+"""Of random numbers; those before are `BatchDataset`'s."""
 FIRST_CROPS = 12_000
 """That must be there before the first step."""
 COVERED = 0.25
@@ -85,20 +83,6 @@ END = 1_000_000_000
 """More steps than a run will take."""
 
 
-class GpuSegmenter(Segmenter):
-    """HandSegNet on the GPU, one for each process that makes crops."""
-
-    def __init__(self, checkpoint: Path, device: str) -> None:
-        super().__init__(checkpoint)
-        network = self.net.to(device)
-
-        def run(inputs: Tensor) -> tuple[Tensor, ...]:
-            with torch.autocast(device, torch.bfloat16):
-                return tuple(maps.float().cpu() for maps in network(inputs.to(device)))
-
-        self.net = run
-
-
 class Makers(Dataset[dict[str, Batch]]):
     """Maps a number to crops ("pose") and pictures ("segmentation"); the first ones to plain crops ("held_out").
 
@@ -106,7 +90,7 @@ class Makers(Dataset[dict[str, Batch]]):
         pose: the run of the pose stages, `data.segmentation` a HandSegNet.
         segmentation: the run of HandSegNet.
         held_out: how many numbers give held-out crops.
-        device: of `GpuSegmenter`.
+        device: where HandSegNet runs, one for each process.
     """
 
     def __init__(self, pose: TrainConfig, segmentation: TrainConfig, held_out: int, device: str) -> None:
@@ -115,7 +99,7 @@ class Makers(Dataset[dict[str, Batch]]):
     @cached_property
     def opened(self) -> tuple[BatchDataset, HeldOutBatches, Segmenter]:
         """Opened by each process for itself."""
-        segmenter = GpuSegmenter(Path(self.pose.data.segmentation), self.device)
+        segmenter = Segmenter(Path(self.pose.data.segmentation), self.device)
         training, held_out = open_source(self.pose.data)
         return BatchDataset(training, self.pose), HeldOutBatches(held_out, self.pose, lambda _: segmenter), segmenter
 
@@ -128,12 +112,8 @@ class Makers(Dataset[dict[str, Batch]]):
         def rngs(stream: int) -> list[np.random.Generator]:
             return [np.random.default_rng([self.pose.seed, *pick, stream]) for pick in picks]
 
-        samples = with_border([training.source[index] for _, index in picks], BORDER, rngs(0))
-        others = {
-            i: training.source[int(rng.integers(len(training.source)))]
-            for i, (sample, rng) in enumerate(zip(samples, rngs(1), strict=True))
-            if not any(sample.present)
-        }
+        samples = with_border([training.source[index] for _, index in picks], BORDER, rngs(FIRST_STREAM))
+        others = training.others(picks, samples)
         found: dict[int, Segmentation] = {}
 
         def segment(images: Sequence[np.ndarray]) -> list[Segmentation]:
@@ -141,10 +121,10 @@ class Makers(Dataset[dict[str, Batch]]):
             found.update(zip(map(id, new), segmenter(new) if new else (), strict=True))
             return [found[id(image)] for image in images]
 
-        crops = [pose_batch(samples, self.pose, rngs(2 + k), segment, others) for k in range(REPEATS)]
+        crops = [pose_batch(samples, self.pose, rngs(FIRST_STREAM + 1 + k), segment, others) for k in range(REPEATS)]
         return {
             "pose": {name: torch.cat([one[name] for one in crops]) for name in crops[0]},
-            "segmentation": segmentation_batch(samples, self.segmentation, rngs(2 + REPEATS)),
+            "segmentation": segmentation_batch(samples, self.segmentation, rngs(FIRST_STREAM + 1 + REPEATS)),
         }
 
 
@@ -243,6 +223,8 @@ def half_mirrored(batch: Batch) -> Batch:
 def smaller(batch: Batch, size: int) -> Batch:
     """The same crops with fewer pixels, `size` to a side."""
     factor = size / batch["image"].shape[1]
+    if factor == 1:
+        return batch
     image = batch["image"].permute(0, 3, 1, 2).float()
     image = nn.functional.interpolate(image, size=(size, size), mode="bilinear", align_corners=False)
     back = batch["rays_from_crop"].new_tensor([1 / factor, 1 / factor, 1])
@@ -251,145 +233,49 @@ def smaller(batch: Batch, size: int) -> Batch:
     return {**batch, **changed, "image": image, "joints_px": batch["joints_px"] * factor}
 
 
-class StackedMuon(Muon):
-    """Muon that moves all layers of one shape at once: a single one leaves a GPU idle."""
-
-    @torch.no_grad()
-    def step(self) -> None:  # type: ignore[override]
-        """One update; gradients of Muon's groups are used up."""
-        for group in self.param_groups:
-            if not group.get("muon"):
-                continue
-            by_shape: dict[torch.Size, list[nn.Parameter]] = defaultdict(list)
-            for parameter in group["params"]:
-                if parameter.grad is not None:
-                    by_shape[parameter.shape].append(parameter)
-            for shape, alike in by_shape.items():
-                for parameter in alike:
-                    if not self.state[parameter]:
-                        self.state[parameter]["momentum"] = torch.zeros_like(parameter)
-                momenta = [self.state[parameter]["momentum"] for parameter in alike]
-                gradients = [parameter.grad for parameter in alike]
-                torch._foreach_lerp_(momenta, gradients, 1 - group["momentum"])
-                ahead = torch.stack(torch._foreach_lerp(gradients, momenta, group["momentum"]))  # Nesterov
-                updates = stack_orthogonalised(ahead.flatten(2)).view(ahead.shape).unbind()
-                size = UPDATE_RMS * max(shape[0], math.prod(shape[1:])) ** 0.5
-                torch._foreach_mul_(alike, 1 - group["lr"] * group["weight_decay"])
-                torch._foreach_add_(alike, updates, alpha=-group["lr"] * size)
-                for parameter in alike:
-                    parameter.grad = None
-        torch.optim.AdamW.step(self)
-
-
-def stack_orthogonalised(stack: Tensor) -> Tensor:
-    """`muon.orthogonalised` of every matrix of (N, R, C)."""
-    if stack.shape[1] > stack.shape[2]:
-        return stack_orthogonalised(stack.mT).mT
-    stack = stack / stack.norm(dim=(1, 2), keepdim=True).clamp_min(1e-12)
-    gram = stack @ stack.mT
-    total = identity = torch.eye(stack.shape[1], dtype=stack.dtype, device=stack.device)
-    a, b, c = COEFFICIENTS
-    for _ in range(STEPS):
-        factor = a * identity + b * gram + c * (gram @ gram)
-        total = factor @ total
-        gram = factor @ gram @ factor
-    return total @ stack
-
-
 class Learner:
-    """A stage, its optimizer and its averaged weights.
+    """A run of one stage, from weights whose batch statistics it keeps.
 
     Args:
-        stage: with the weights that it starts from, whose batch statistics it keeps.
         config: the run.
+        weights: files to start from, see `build_stage`.
         device: where.
     """
 
-    def __init__(self, stage: Stage, config: TrainConfig, device: str) -> None:
-        freeze_batch_norm(stage)
-        self.stage = stage.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
-        self.config, self.device, self.iteration = config, device, 0
-        self.optimizer = build_optimizer(self.stage, config.optim)
-        self.optimizer.__class__ = StackedMuon
-        self.parameters = list(self.stage.parameters())
-        self.average = [p.detach().clone() for p in self.parameters]
-        self.losses: dict[str, Any] = {}
-        self.steps = self.skipped = 0
+    def __init__(self, config: TrainConfig, weights: Sequence[Path], device: str) -> None:
+        self.config = config
+        self.fabric = Fabric(accelerator=device, precision=config.precision, devices=1)
+        self.state = fresh_state(config, weights, resume=False)
+        self.model, self.optimizer = self.fabric.setup(self.state.stage, self.state.optimizer)
+        self.state.best.to(device)
+        self.running = Running(config, 1)
 
     def step(self, batch: Batch, rate: float) -> None:
-        """One step; none where the gradient is not finite."""
-        self.stage.train()
-        for group in self.optimizer.param_groups:
-            group["lr"] = rate * group["share"]
-        with torch.autocast(self.device, torch.bfloat16):
-            losses = self.stage(batch, self.iteration)
-            total = torch.stack([value.float() for value in losses.values()]).sum()
-        total.backward()
-        if nn.utils.clip_grad_norm_(self.parameters, self.config.optim.clip).isfinite():
-            self.optimizer.step()
-        else:
-            self.skipped += 1
-        self.optimizer.zero_grad()
-        self.iteration += 1
-        decay = min(self.config.optim.ema, (1 + self.iteration) / (10 + self.iteration))
-        with torch.no_grad():
-            torch._foreach_lerp_(self.average, self.parameters, 1 - decay)
-        for name, value in losses.items():
-            self.losses[name] = self.losses.get(name, 0.0) + value.detach()
-        self.steps += 1
+        """One step, and the averaged weights after it."""
+        state, optim = self.state, self.config.optim
+        values = take_step(self.fabric, self.model, self.optimizer, batch, state.iteration, rate, optim)
+        update_average(state.best, state.stage, optim.ema, state.iteration)
+        state.iteration += 1
+        self.running.add(values, 0.0, 0.0)
 
     def report(self) -> str:
         """Mean losses since the last report."""
-        text = " ".join(f"{name} {float(value) / max(1, self.steps):.4f}" for name, value in self.losses.items())
-        self.losses, self.steps = {}, 0
-        return f"{text}, {self.skipped} steps skipped" if self.skipped else text
-
-    def swap(self) -> None:
-        """Exchange weights and averaged weights."""
-        for own, average in zip(self.parameters, self.average, strict=True):
-            kept = own.detach().clone()
-            own.detach().copy_(average)
-            average.copy_(kept)
-
-    @torch.no_grad()
-    def validate(self, batches: Sequence[Batch]) -> dict[str, float]:
-        """Figures of the averaged weights."""
-        self.swap()
-        self.stage.eval()
-        with torch.autocast(self.device, torch.bfloat16):
-            figures = self.stage.validate(batches)
-        self.swap()
-        return figures
+        losses = self.running.losses()
+        self.running.clear()
+        return " ".join(f"{name} {value:.4f}" for name, value in losses.items())
 
     def save(self, folder: Path, note: dict[str, Any]) -> None:
         """Write the averaged weights."""
-        self.swap()
-        for name, network in self.stage.networks().items():
+        for name, network in self.state.best.networks().items():
             save_network(name, network, folder / f"{name}.safetensors", note=note)
-        self.swap()
 
 
-def pose_learner(preset: Path, config: TrainConfig, device: str) -> Learner:
-    """Of the pose networks of a preset, in crops of its size."""
-    files = network_files(preset, read_card(preset))
-    two_d = load_network("pose_net_2d", files["pose_net_2d"])
-    assert isinstance(two_d, PoseNet2D)
-    config = with_override(config, f"networks.pose_net_2d.crop_size={two_d.config.crop_size}")
-    stage = Pose3DStage(config, two_d)
-    stage.net_3d.load_state_dict(load_network("pose_net_3d", files["pose_net_3d"]).state_dict())
-    return Learner(stage, config, device)
-
-
-def segmentation_learner(preset: Path, config: TrainConfig, device: str) -> Learner:
-    """Of the HandSegNet of a preset."""
-    stage = SegmentationStage(config)
-    stage.net.load_state_dict(load_network("hand_seg_net", preset / "hand_seg_net.onnx").state_dict())
-    return Learner(stage, config, device)
-
-
-def unchanged(item: Any) -> Any:
-    """What a process has made, as it is."""
-    return item
+def learner_of(preset: Path, config: TrainConfig, names: Sequence[NetworkName], device: str) -> Learner:
+    """Of networks of a preset, in crops of its size."""
+    card = read_card(preset)
+    files = network_files(preset, card)
+    config = with_override(config, f"networks.pose_net_2d.crop_size={card.crop_size}")
+    return Learner(config, [files[name] for name in names], device)
 
 
 class Stock:
@@ -424,7 +310,6 @@ class Stock:
             sampler=StepsFrom(0, END),
             num_workers=self._workers,
             multiprocessing_context="spawn",  # processes that are forked cannot use the GPU
-            collate_fn=unchanged,
             worker_init_fn=calm_worker,
         )
         try:
@@ -472,7 +357,7 @@ def burst(options: argparse.Namespace) -> None:
     """The run, from the first crop to the written weights.
 
     Raises:
-        TwoHandsError: folders or weights cannot be used.
+        TwoHandsError: folders or weights cannot be used, or the loss is not finite.
     """
     begin = time.monotonic()
     device = "cuda" if torch.cuda.is_available() else "cpu"
@@ -483,17 +368,19 @@ def burst(options: argparse.Namespace) -> None:
 
     pose, segmentation = configs(options)
     open_source(pose.data)  # what is wrong with it is better said here than by every process
+    pose_networks = ("pose_net_2d", "pose_net_3d")
     learners = {
-        "accurate": pose_learner(options.weights / "accurate", pose, device),
-        "fast": pose_learner(options.weights / "fast", pose, device),
-        "hand_seg_net": segmentation_learner(options.weights / "fast", segmentation, device),
+        "accurate": learner_of(options.weights / "accurate", pose, pose_networks, device),
+        "fast": learner_of(options.weights / "fast", pose, pose_networks, device),
+        "hand_seg_net": learner_of(options.weights / "fast", segmentation, ("hand_seg_net",), device),
     }
     sizes = {name: learners[name].config.networks.pose_net_2d.crop_size for name in ("accurate", "fast")}
     figures: dict[str, dict[str, float]] = {}
 
     def check(held_out: Sequence[Batch]) -> None:
         for name, size in sizes.items():
-            figures[name] = learners[name].validate([smaller(batch, size) for batch in held_out])
+            learner = learners[name]
+            figures[name] = validate(learner.fabric, learner.state.best, [smaller(batch, size) for batch in held_out])
             say(f"{name}: " + " ".join(f"{key} {value:.4f}" for key, value in figures[name].items()))
 
     makers = Makers(learners["accurate"].config, segmentation, options.held_out, device)
@@ -508,7 +395,7 @@ def burst(options: argparse.Namespace) -> None:
         end = begin + 60 * options.minutes
         while (now := time.monotonic()) < end:
             stock.check()
-            rate = learning_rate(pose.optim, learners["fast"].iteration, (now - start) / (end - start))
+            rate = learning_rate(pose.optim, learners["fast"].state.iteration, (now - start) / (end - start))
             batch = stock.crops.draw(options.batch)
             batch["image"] = covered(relit(batch["image"]), COVERED, pose.crop.background)
             batch["lot"] = torch.rand_like(batch["lot"])
@@ -519,7 +406,7 @@ def burst(options: argparse.Namespace) -> None:
             learners["hand_seg_net"].step(picture, rate)
             if now - shown > REPORT_S:
                 shown = now
-                say(f"step {learners['fast'].iteration}, {stock.crops.written} crops made, rate {rate:.1e}")
+                say(f"step {learners['fast'].state.iteration}, {stock.crops.written} crops made, rate {rate:.1e}")
                 for name, learner in learners.items():
                     say(f"  {name} {learner.report()}")
         crops = stock.crops.written
@@ -527,7 +414,7 @@ def burst(options: argparse.Namespace) -> None:
     note = {
         "recipe": "burst",
         "seed": options.seed,
-        "iterations": learners["fast"].iteration,
+        "iterations": learners["fast"].state.iteration,
         "batch": options.batch,
         "minutes": round((time.monotonic() - begin) / 60, 2),
         "crops": crops,

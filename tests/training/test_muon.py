@@ -81,3 +81,22 @@ def test_other_groups_are_moved_by_adamw():
             parameter.grad = gradient.clone()
             optimizer.step()
     assert torch.equal(ours, theirs)
+
+
+def test_layers_of_one_shape_move_as_each_would_alone():
+    torch.manual_seed(0)
+    shapes = [(40, 36, 3, 3), (40, 36, 3, 3), (64, 40), (36, 40)]
+    start = [torch.randn(shape) for shape in shapes]
+    together, alone = ([nn.Parameter(values.clone()) for values in start] for _ in range(2))
+    settings = {"lr": 1e-2, "weight_decay": 0.1}
+    optimizers = [Muon([{"params": together, "muon": True}], **settings)]
+    optimizers += [Muon([{"params": [weight], "muon": True}], **settings) for weight in alone]
+    for _ in range(3):
+        for one, other in zip(together, alone, strict=True):
+            one.grad = torch.randn(one.shape)
+            other.grad = one.grad.clone()
+        for optimizer in optimizers:
+            optimizer.step()
+    for one, other, before in zip(together, alone, start, strict=True):
+        torch.testing.assert_close(one, other, rtol=1e-4, atol=1e-5)
+        assert (one - before).abs().max() > 1e-3

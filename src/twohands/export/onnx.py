@@ -19,6 +19,7 @@ import torch
 from torch import Tensor, nn
 
 from twohands.errors import CheckpointError, InputError
+from twohands.inference.int8 import WEIGHT_LEVELS, kernel_peaks
 from twohands.inference.weights import write_card
 from twohands.models.checkpoint import BYTES, HALF, SCALE, describe, load_network, read_note
 from twohands.models.hand_seg_net import HandSegNet
@@ -28,7 +29,6 @@ from twohands.skeleton import N_JOINTS
 
 CARD_VERSION = 1
 OPSET = 18
-LARGEST_BYTE = 127
 WHOLE = "_whole"
 """Ending of the name of a kernel in whole numbers, as float32."""
 SMALL_TENSOR = 1024
@@ -135,8 +135,7 @@ def small_weights(model: onnx.ModelProto) -> onnx.ModelProto:
             continue
         name, values = tensor.name, onnx.numpy_helper.to_array(tensor)
         if name in kernels:
-            scale = np.abs(values).max(axis=(1, 2, 3), keepdims=True) / LARGEST_BYTE
-            scale = np.maximum(scale, np.finfo(np.float32).tiny)
+            scale = kernel_peaks(values) / (WEIGHT_LEVELS // 2)
             tensor.CopyFrom(onnx.numpy_helper.from_array(np.round(values / scale).astype(np.int8), name + BYTES))
             result.graph.initializer.append(onnx.numpy_helper.from_array(scale, name + SCALE))
             made.append(onnx.helper.make_node("Cast", [name + BYTES], [name + WHOLE], to=onnx.TensorProto.FLOAT))

@@ -72,10 +72,15 @@ def quantise(model: Any, peaks: Mapping[str, float]) -> None:
             continue
         if node.input_value(0).get_node().get_friendly_name() not in rounded:
             continue
-        peak = np.abs(constant_values(node.input_value(1))).max(axis=(1, 2, 3), keepdims=True)
-        peak = np.maximum(peak, np.finfo(np.float32).tiny)
+        peak = kernel_peaks(constant_values(node.input_value(1)))
         node.input(1).replace_source_output(_rounding(node.input_value(1), -peak, peak, WEIGHT_LEVELS).output(0))
     model.validate_nodes_and_infer_types()
+
+
+def kernel_peaks(kernel: np.ndarray) -> np.ndarray:
+    """The largest size of a weight of every output channel, (O, 1, 1, 1) float32, of (O, I, H, W); never 0."""
+    peaks = np.abs(kernel).max(axis=(1, 2, 3), keepdims=True)
+    return np.maximum(peaks, WEIGHT_LEVELS * np.finfo(np.float32).tiny)  # a step of it is a normal number too
 
 
 def _rectified(model: Any) -> list[Any]:

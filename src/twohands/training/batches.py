@@ -150,27 +150,31 @@ class Segmenter:
 
     Args:
         checkpoint: written by the trainer, or the ONNX file of a preset.
+        device: where it runs.
 
     Raises:
         CheckpointError: missing, damaged, or of another network.
     """
 
-    def __init__(self, checkpoint: Path) -> None:
+    def __init__(self, checkpoint: Path, device: str = "cpu") -> None:
         net = load_network("hand_seg_net", checkpoint).eval()
         config = cast(HandSegNetConfig, net.config)
         self.size = (config.height, config.width_px)
         fold_batch_norm(net)
-        self.net = net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.net = net.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.device = device
 
     @torch.inference_mode()
     def __call__(self, images: Sequence[np.ndarray]) -> list[Segmentation]:
         """Masks and boxes, see `Segment`."""
         canvases, places = zip(*(letterbox(image, self.size) for image in images), strict=True)
         inputs = torch.from_numpy(network_input(np.stack(canvases))).contiguous(memory_format=torch.channels_last)
-        with torch.autocast("cpu", torch.bfloat16):
-            logits, energies = self.net(inputs)
+        with torch.autocast(self.device, torch.bfloat16):
+            logits, energies = self.net(inputs.to(self.device))
         # Back to one plane after the other: reductions over planes of interleaved channels are slow.
-        logits, energies = (np.ascontiguousarray(m.float().numpy()) for m in (logits, torch.sigmoid(energies.float())))
+        logits, energies = (
+            np.ascontiguousarray(m.float().cpu().numpy()) for m in (logits, torch.sigmoid(energies.float()))
+        )
         found = []
         for i, image in enumerate(images):
             seg_logits, energy = places[i].content(logits[i]), places[i].content(energies[i])
@@ -378,13 +382,18 @@ class BatchDataset(Dataset[Batch]):
         picks = self.picks(step)
         rngs = [np.random.default_rng([self.config.seed, epoch, index, 1]) for epoch, index in picks]
         samples = [self.source[index] for _, index in picks]
-        others: dict[int, HandSample] = {}
-        if self.config.stage != "hand_seg_net" and self.config.networks.pose_net_2d.judge:
-            for i, (epoch, index) in enumerate(picks):
-                if not any(samples[i].present):
-                    pick = np.random.default_rng([self.config.seed, epoch, index, 2]).integers(len(self.source))
-                    others[i] = self.source[int(pick)]
-        return self._build(samples, rngs, others)
+        return self._build(samples, rngs, self.others(picks, samples))
+
+    def others(self, picks: Sequence[tuple[int, int]], samples: Sequence[HandSample]) -> dict[int, HandSample]:
+        """What `pose_batch` lays over pictures without hands, by number; nothing without a judge to learn from it."""
+        if self.config.stage == "hand_seg_net" or not self.config.networks.pose_net_2d.judge:
+            return {}
+        found: dict[int, HandSample] = {}
+        for i, (epoch, index) in enumerate(picks):
+            if not any(samples[i].present):
+                pick = np.random.default_rng([self.config.seed, epoch, index, 2]).integers(len(self.source))
+                found[i] = self.source[int(pick)]
+        return found
 
 
 class TimedBatches(Dataset[tuple[float, Batch | TwoHandsError]]):

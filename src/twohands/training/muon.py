@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -44,23 +46,33 @@ class Muon(torch.optim.AdamW):
         """One update; gradients of Muon's groups are used up."""
         for group in self.param_groups:
             if group.get("muon"):
+                by_shape: dict[torch.Size, list[Tensor]] = defaultdict(list)
                 for parameter in group["params"]:
                     if parameter.grad is not None:
-                        self._move(parameter, parameter.grad, group)
-                        parameter.grad = None
+                        by_shape[parameter.shape].append(parameter)
+                for alike in by_shape.values():
+                    self._move(alike, group)
         super().step()
 
-    def _move(self, parameter: Tensor, gradient: Tensor, group: dict[str, Any]) -> None:
-        state = self.state[parameter]
+    def _move(self, alike: Sequence[Tensor], group: dict[str, Any]) -> None:
+        """Move layers of one shape, all at once: a GPU has little to do for one."""
+        ahead = torch.stack([self._ahead(parameter, group["momentum"]) for parameter in alike])
+        updates = orthogonalised(ahead.flatten(2)).view(ahead.shape)
+        size = UPDATE_RMS * max(len(alike[0]), alike[0][0].numel()) ** 0.5
+        for parameter, update in zip(alike, updates, strict=True):
+            parameter.mul_(1 - group["lr"] * group["weight_decay"]).add_(update, alpha=-group["lr"] * size)
+            parameter.grad = None
+
+    def _ahead(self, parameter: Tensor, share: float) -> Tensor:
+        """Nesterov's mean of the gradient and the momentum that it has changed."""
+        state, gradient = self.state[parameter], parameter.grad
+        assert gradient is not None
         if not state:
             state["step"] = torch.zeros(())  # AdamW looks for it when a state is loaded
             state["momentum"] = torch.zeros_like(parameter)
         state["step"] += 1
-        momentum = state["momentum"].lerp_(gradient, 1 - group["momentum"])
-        ahead = gradient.lerp(momentum, group["momentum"])  # Nesterov
-        update = orthogonalised(ahead.flatten(1)).view(parameter.shape)
-        size = UPDATE_RMS * max(len(parameter), parameter[0].numel()) ** 0.5
-        parameter.mul_(1 - group["lr"] * group["weight_decay"]).add_(update, alpha=-group["lr"] * size)
+        momentum = state["momentum"].lerp_(gradient, 1 - share)
+        return gradient.lerp(momentum, share)
 
 
 def is_hidden(parameter: Tensor) -> bool:
@@ -68,26 +80,26 @@ def is_hidden(parameter: Tensor) -> bool:
     return parameter.ndim > 1 and min(parameter.shape[:2]) >= HIDDEN
 
 
-def orthogonalised(matrix: Tensor) -> Tensor:
-    """Nearly the orthogonal matrix nearest to the given one: same singular vectors, singular values in about 0.7..1.2.
+def orthogonalised(matrices: Tensor) -> Tensor:
+    """Nearly the orthogonal matrix nearest to each given one: same singular vectors, singular values in about 0.7..1.2.
 
     A Newton-Schulz iteration, carried out on the Gram matrix of the shorter side, which is several times cheaper than
     on the matrix itself for the long rows of convolutions.
 
     Args:
-        matrix: (R, C) float32.
+        matrices: (..., R, C) float32.
 
     Returns:
-        (R, C) float32.
+        (..., R, C) float32.
     """
-    if len(matrix) > matrix.shape[1]:
-        return orthogonalised(matrix.T).T
-    matrix = matrix / matrix.norm().clamp_min(1e-12)
-    gram = matrix @ matrix.T
-    total = identity = torch.eye(len(gram), dtype=gram.dtype, device=gram.device)
+    if matrices.shape[-2] > matrices.shape[-1]:
+        return orthogonalised(matrices.mT).mT
+    matrices = matrices / matrices.norm(dim=(-2, -1), keepdim=True).clamp_min(1e-12)
+    gram = matrices @ matrices.mT
+    total = identity = torch.eye(gram.shape[-1], dtype=gram.dtype, device=gram.device)
     a, b, c = COEFFICIENTS
     for _ in range(STEPS):
         factor = a * identity + b * gram + c * (gram @ gram)
         total = factor @ total
         gram = factor @ gram @ factor
-    return total @ matrix
+    return total @ matrices

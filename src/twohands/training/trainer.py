@@ -199,7 +199,7 @@ def train(
     fabric.launch()
     batches = BatchDataset(source, config, fabric.global_rank, fabric.world_size, open_segmentation)
     first = fabric.is_global_zero
-    state = _start(config, () if resume else weights, resume)
+    state = fresh_state(config, () if resume else weights, resume)
     share_batch_norm(state.stage)
     model, optimizer = fabric.setup(state.stage, state.optimizer)
     if state.average is not None:
@@ -215,7 +215,7 @@ def train(
     held_out_batches = validation_batches(held_out, config, open_segmentation) if first else []
     log = _Log(out / LOG_FILE, report) if first else None
     figures: dict[str, float] = {}
-    running = _Running(config, fabric.world_size)
+    running = Running(config, fabric.world_size)
     checked = -1
 
     def keep() -> None:
@@ -225,7 +225,7 @@ def train(
 
     def check() -> None:
         if log is not None and held_out_batches:
-            figures.update(_validate(fabric, state.best, held_out_batches))
+            figures.update(validate(fabric, state.best, held_out_batches))
             log.write(state, "validation", figures)
 
     if state.iteration == 0:
@@ -246,7 +246,8 @@ def train(
             if items:
                 start = time.perf_counter()
                 rate = learning_rate(config.optim, state.iteration, done)
-                values = _step(fabric, model, optimizer, fabric.to_device(batch), state.iteration, rate, config.optim)
+                batch = fabric.to_device(batch)
+                values = take_step(fabric, model, optimizer, batch, state.iteration, rate, config.optim)
                 if state.average is not None:
                     update_average(state.average, state.stage, config.optim.ema, state.iteration)
                 running.add(values, making_s, time.perf_counter() - start)
@@ -288,7 +289,7 @@ def _sums(fabric: Fabric, *values: float) -> list[float]:
     return fabric.all_reduce(numbers, reduce_op="sum").tolist()  # type: ignore[union-attr]
 
 
-class _Running:
+class Running:
     """What happened since the last row of the log.
 
     Args:
@@ -351,7 +352,7 @@ class _StopSignal:
         self.asked = True
 
 
-def _start(config: TrainConfig, weights: Sequence[Path], resume: bool) -> TrainState:
+def fresh_state(config: TrainConfig, weights: Sequence[Path], resume: bool) -> TrainState:
     """Networks, averaged networks and optimizer, before any step."""
     stage = build_stage(config, weights, require_weights=not resume)
     stage = stage.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
@@ -361,7 +362,7 @@ def _start(config: TrainConfig, weights: Sequence[Path], resume: bool) -> TrainS
     return TrainState(stage, average, build_optimizer(stage, config.optim))
 
 
-def _step(
+def take_step(
     fabric: Fabric,
     model: nn.Module,
     optimizer: torch.optim.Optimizer,
@@ -390,7 +391,8 @@ def _step(
 
 
 @torch.no_grad()
-def _validate(fabric: Fabric, stage: Stage, batches: Sequence[Batch]) -> dict[str, float]:
+def validate(fabric: Fabric, stage: Stage, batches: Sequence[Batch]) -> dict[str, float]:
+    """Figures of a stage over held-out batches, see `Stage.validate`."""
     was_training = stage.training
     stage.eval()
     with fabric.autocast():
