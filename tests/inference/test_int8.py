@@ -56,6 +56,16 @@ def test_peaks_are_the_largest_values_over_all_batches():
         assert peak == max(peaks.get(name, 0.0) for peaks in apart) > 0
 
 
+def test_peaks_of_pictures_of_several_sizes(tiny):
+    """A preset that looks at pictures in several sizes could not be averaged or fine-tuned: the first size was all
+    that was understood."""
+    path, rng = tiny / "hand_seg_net.onnx", np.random.default_rng(0)
+    height, width = read_card(tiny).seg_input_size
+    batches = [rng.random((1, 3, rows, columns), np.float32) for rows, columns in ((height, width), (64, 96))]
+    together, apart = activation_peaks(path, batches), [activation_peaks(path, [batch]) for batch in batches]
+    assert together == {name: max(peaks.get(name, 0.0) for peaks in apart) for name in set(apart[0]) | set(apart[1])}
+
+
 def test_unknown_activations_are_refused(tiny):
     model = read_network(open_core(), tiny / "hand_seg_net.onnx")
     with pytest.raises(CheckpointError, match="int8 names 'other'"):

@@ -27,7 +27,7 @@ def activation_peaks(path: Path, batches: Iterable[np.ndarray]) -> dict[str, flo
 
     Args:
         path: ONNX file.
-        batches: inputs of the network, (B, C, H, W) float32, as many as are needed to meet what will come.
+        batches: inputs of the network, (B, C, H, W) float32, of any size, as many as are needed to meet what will come.
 
     Returns:
         Name of the ReLU in the file -> its peak, larger than 0; ReLUs that never let anything through are left out.
@@ -36,12 +36,15 @@ def activation_peaks(path: Path, batches: Iterable[np.ndarray]) -> dict[str, flo
     model = read_network(core, path)
     rectified, own_outputs = _rectified(model), len(model.outputs)
     model.add_outputs([node.output(0) for node in rectified])
-    network = core.compile_model(model, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
-    outputs = network.outputs[own_outputs:]
+    networks: dict[tuple[int, ...], Any] = {}
     peaks = np.zeros(len(rectified))
     for batch in batches:
-        result = network([np.ascontiguousarray(batch, np.float32)])
-        peaks = np.maximum(peaks, [result[output].max() for output in outputs])
+        shape = batch.shape[1:]
+        if shape not in networks:
+            model.reshape([-1, *shape])
+            networks[shape] = core.compile_model(model, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
+        result = networks[shape]([np.ascontiguousarray(batch, np.float32)])
+        peaks = np.maximum(peaks, [result[i].max() for i in range(own_outputs, len(result))])
     return {node.get_friendly_name(): float(peak) for node, peak in zip(rectified, peaks, strict=True) if peak > 0}
 
 
