@@ -57,8 +57,8 @@ def test_peaks_are_the_largest_values_over_all_batches():
 
 
 def test_peaks_of_pictures_of_several_sizes(tiny):
-    """A preset that looks at pictures in several sizes could not be averaged or fine-tuned: the first size was all
-    that was understood."""
+    """A preset that looks at pictures in several sizes could not be averaged: its own size was all that was
+    understood."""
     path, rng = tiny / "hand_seg_net.onnx", np.random.default_rng(0)
     height, width = read_card(tiny).seg_input_size
     batches = [rng.random((1, 3, rows, columns), np.float32) for rows, columns in ((height, width), (64, 96))]

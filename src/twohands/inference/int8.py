@@ -36,15 +36,13 @@ def activation_peaks(path: Path, batches: Iterable[np.ndarray]) -> dict[str, flo
     model = read_network(core, path)
     rectified, own_outputs = _rectified(model), len(model.outputs)
     model.add_outputs([node.output(0) for node in rectified])
-    networks: dict[tuple[int, ...], Any] = {}
+    model.reshape([-1, model.inputs[0].partial_shape[1], -1, -1])
+    network = core.compile_model(model, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
+    outputs = network.outputs[own_outputs:]
     peaks = np.zeros(len(rectified))
     for batch in batches:
-        shape = batch.shape[1:]
-        if shape not in networks:
-            model.reshape([-1, *shape])
-            networks[shape] = core.compile_model(model, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
-        result = networks[shape]([np.ascontiguousarray(batch, np.float32)])
-        peaks = np.maximum(peaks, [result[i].max() for i in range(own_outputs, len(result))])
+        result = network([np.ascontiguousarray(batch, np.float32)])
+        peaks = np.maximum(peaks, [result[output].max() for output in outputs])
     return {node.get_friendly_name(): float(peak) for node, peak in zip(rectified, peaks, strict=True) if peak > 0}
 
 
