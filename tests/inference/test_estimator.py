@@ -15,6 +15,7 @@ from twohands.geometry.segmentation import HandBoxes, network_input
 from twohands.inference.engine import Networks
 from twohands.inference.estimator import NO_TRUTH, HandEstimator, StageTruth
 from twohands.inference.looks import Look, joint_boxes
+from twohands.inference.range_prior import likely_ranges
 from twohands.skeleton import LEFT, RIGHT, ROOT
 from twohands.types import HandPose, PinholeCamera
 
@@ -390,6 +391,27 @@ def test_what_does_not_fit_together_is_refused(image, camera, hand_length_m, mes
     estimator = HandEstimator(UNUSED, make_card())
     with pytest.raises(InputError, match=message):
         estimator.estimate(image, camera or PinholeCamera.ego3dhands(240, 135), hand_length_m)
+
+
+def test_uncertain_ranges_become_likely_ones_and_the_hands_move_along_their_lines_of_sight():
+    sample = drawn_hands(2)
+    plain = Oracle(sample, make_card()).estimator.estimate(sample.image, sample.camera, HAND_LENGTH_M)
+    oracle = Oracle(sample, make_card(range_errors=(0.2, 0.4)))
+    likely = oracle.estimator.estimate(sample.image, sample.camera, HAND_LENGTH_M)
+    scores = np.stack([hand.joint_scores for hand in plain.hands])
+    expected = likely_ranges(np.array([hand.range_m for hand in plain.hands]), scores, (0.2, 0.4))
+    for before, after, range_m in zip(plain.hands, likely.hands, expected, strict=True):
+        assert after.range_m == pytest.approx(range_m) and abs(after.range_m - before.range_m) > 0.01
+        assert (after.theta_deg, after.phi_deg) == (before.theta_deg, before.phi_deg)
+        np.testing.assert_array_equal(after.canonical, before.canonical)
+        moved = after.joints_m - before.joints_m
+        root = before.joints_m[ROOT]
+        np.testing.assert_allclose(moved, np.tile((after.range_m / before.range_m - 1) * root, (21, 1)), atol=1e-9)
+    # What is known is not doubted.
+    known = StageTruth(joints_px=sample.joints_px)
+    assert oracle.estimator.estimate(sample.image, sample.camera, HAND_LENGTH_M, known).left.range_m == pytest.approx(
+        plain.left.range_m, abs=1e-3
+    )
 
 
 def test_canonical_truth_is_that_of_the_real_hand():

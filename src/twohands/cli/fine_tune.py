@@ -10,7 +10,7 @@ from pathlib import Path
 from twohands.cli.progress import progress_of
 from twohands.errors import InputError
 from twohands.inference.camera_files import read_camera
-from twohands.inference.weights import DEFAULT_PRESET, NETWORK_NAMES, preset_folder, preset_names
+from twohands.inference.weights import DEFAULT_PRESET, NETWORK_NAMES, preset_folder, preset_names, read_card
 from twohands.training.config import TrainConfig
 
 DEFAULT_MINUTES = 30.0
@@ -85,7 +85,8 @@ def fine_tune(
             report=lambda line: print(line, flush=True),
         )
         checkpoints |= result.checkpoints
-    export_preset(checkpoints, out, name=out.resolve().name, further={"fine_tuned_from": DEFAULT_PRESET})
+    further = {"fine_tuned_from": DEFAULT_PRESET, "range_errors": read_card(preset_folder(DEFAULT_PRESET)).range_errors}
+    export_preset(checkpoints, out, name=out.resolve().name, further=further)
     add_int8(out, (source[i] for i in range(min(CALIBRATION_PICTURES, len(source)))))
     folder = f"./{out}" if str(out) in preset_names() else out  # the name alone is that of shipped weights
     print(f"weights written to {out}; use them with twohands track --weights {folder} --camera {camera_file}")

@@ -45,6 +45,7 @@ from twohands.geometry.segmentation import (
 )
 from twohands.inference.engine import Networks, load_networks
 from twohands.inference.looks import Look, agreement, geometric_median, in_sight, joint_boxes, mirror_crop
+from twohands.inference.range_prior import likely_ranges
 from twohands.inference.read_out import read_joints
 from twohands.inference.sides import (
     APART,
@@ -183,8 +184,11 @@ class HandEstimator:
             if estimated:
                 share = self.ray_share * look.joint_scores
                 canonical = drawn_to_rays(canonical, look.joints_px, camera, lengths_m, pose, share)
-                joints_m = camera_from_canonical(canonical, lengths_m, pose.radius_m, pose.theta, pose.phi)
-                pose = replace(pose, joints_m=joints_m)
+                radius_m = pose.radius_m
+                if self.card.range_errors is not None:
+                    radius_m = likely_ranges(radius_m, look.joint_scores, self.card.range_errors)
+                joints_m = camera_from_canonical(canonical, lengths_m, radius_m, pose.theta, pose.phi)
+                pose = replace(pose, joints_m=joints_m, radius_m=radius_m)
             for i, side in enumerate(sides):
                 hands[side] = _hand_pose(boxes, look, canonical[i], pose, i)
         return TwoHandPose(hands[0], hands[1], camera, certain_masks(masks), index, time_s)

@@ -15,6 +15,7 @@ The card holds what inference must know; every other key (recipe, seed, accuracy
       "name": "fast",
       "hand_seg_net": {"input_size": [224, 384]},
       "pose_net_2d": {"crop_size": 128, "crop_kind": "perspective", "crop_margin": 1.5, "heatmap_decode": "softargmax"},
+      "range_errors": [0.046, 0.143],
       "int8": {"hand_seg_net": {"node_relu": 21.5, ...}, ...}
     }
 
@@ -91,6 +92,7 @@ class WeightsCard:
         doubt: scores of a hand between which it is in doubt.
         rolls_deg: further looks of the pose networks at a hand, as cameras see it that are rolled so far about their
             line of sight.
+        range_errors: of `inference.range_prior.likely_ranges`; None to take ranges as the projection gives them.
         networks: networks that the preset takes of another one -> name of that one's folder, beside its own.
         int8: networks that run in 8 bits -> name of every ReLU -> largest value after it (`inference.int8`).
     """
@@ -107,6 +109,7 @@ class WeightsCard:
     further_looks: tuple[PictureLook, ...] = ()
     doubt: tuple[float, float] = DOUBT
     rolls_deg: tuple[float, ...] = ()
+    range_errors: tuple[float, float] | None = None
     networks: Mapping[str, str] = field(default_factory=dict)
     int8: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
@@ -132,6 +135,9 @@ class WeightsCard:
                 raise CheckpointError(f"card: networks must name folders beside the card's, got {folder!r}")
         if not all(map(math.isfinite, self.rolls_deg)):
             raise CheckpointError(f"card: pose_net_2d.rolls_deg must be angles, got {list(self.rolls_deg)}")
+        errors = self.range_errors
+        if errors is not None and not (len(errors) == 2 and all(0 < error < math.inf for error in errors)):
+            raise CheckpointError(f"card: range_errors must be two numbers larger than 0, got {list(errors)}")
         if self.cues < 0:
             raise CheckpointError(f"card: pose_net_2d.cues must not be negative, got {self.cues}")
         if self.heatmap_decode not in HEATMAP_DECODERS:
@@ -165,6 +171,7 @@ class WeightsCard:
                 further_looks=_further_looks(seg, (height, width)),
                 doubt=tuple(float(score) for score in seg.get("doubt", DOUBT)),  # type: ignore[arg-type]
                 rolls_deg=tuple(float(angle) for angle in pose.get("rolls_deg", ())),
+                range_errors=_numbers(card.get("range_errors")),  # type: ignore[arg-type]
                 networks={str(name): str(folder) for name, folder in card.get("networks", {}).items()},
                 int8=_peaks(card.get("int8", {})),
             )
@@ -189,6 +196,11 @@ def _further_looks(seg: Any, size: tuple[int, int]) -> tuple[PictureLook, ...]:
             raise ValueError(f"the size of a further look must be positive multiples of {STRIDE}, got {look['size']}")
         looks.append(PictureLook((height, width), bool(look.get("mirrored", False))))
     return tuple(looks)
+
+
+def _numbers(values: Any) -> tuple[float, ...] | None:
+    """A list of numbers, or None."""
+    return None if values is None else tuple(float(value) for value in values)
 
 
 def _peaks(int8: Any) -> dict[str, dict[str, float]]:
