@@ -189,7 +189,7 @@ class FrameCache:
                 for name in ("rgba", "labels", "joints", "present", "intrinsics")
             }
             done = np.load(folder / "done.npy", mmap_mode="r")
-        except (OSError, ValueError, KeyError) as error:
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise DataFormatError(f"{folder} holds no frame cache: {error}") from error
         start, stop = frames or (0, len(done))
         if not done[start:stop].all():
