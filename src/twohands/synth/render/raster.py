@@ -204,14 +204,18 @@ class RasterRenderer:
         """Amodal masks of a scene that was just rendered.
 
         Returns:
-            (2, H, W) bool, the pixels that each arm covers when it is drawn alone.
+            (2, H, W) bool, the pixels that each arm covers when it is drawn alone, with what it wears.
         """
         masks = np.zeros((2, self.height, self.width), bool)
+        first_corners = np.cumsum([0, *(thing.faces.size for thing in scene.things)])
         with self.ctx:
             self._labelled.use()
             for side in np.flatnonzero(scene.present):
                 self.ctx.clear(0.0, 0.0, 0.0, 0.0)
                 self._draw(self._label_array, np.arange(2) == side)
+                for first, thing in zip(first_corners, scene.things, strict=False):
+                    if thing.side == side:
+                        self._thing_arrays[1].render(first=int(first), vertices=thing.faces.size)
                 labels = np.frombuffer(self._labelled.read(components=1, alignment=1), np.uint8)
                 masks[side] = labels.reshape(self.height, self.width) > 0
         return masks
