@@ -8,6 +8,7 @@ import pytest
 from tests.synth.reference_raster import reference_planes
 
 from twohands import skeleton
+from twohands.errors import RendererError
 from twohands.geometry.camera import project
 from twohands.synth.body import load_asset, skin
 from twohands.synth.compositing import compose
@@ -150,6 +151,12 @@ def test_the_left_arm_enters_from_the_left(rendered):
 def test_other_size_is_refused(renderer):
     with pytest.raises(ValueError, match="960x540"):
         renderer.render(sample_scene(SynthConfig(), 0, 0))
+
+
+def test_a_size_beyond_the_drivers_is_refused(renderer):
+    side = renderer.ctx.info["GL_MAX_RENDERBUFFER_SIZE"] + 1
+    with pytest.raises(RendererError, match=f"at most {side - 1} pixels a side here, got {side}x32"):
+        RasterRenderer(side, 32)
 
 
 def test_scale_changes_numbers_not_pictures(renderer):

@@ -87,12 +87,15 @@ class RasterRenderer:
 
     Raises:
         MissingExtraError: moderngl is not installed.
-        RendererError: no OpenGL context can be made.
+        RendererError: no OpenGL context can be made, or it draws no pictures of this size.
     """
 
     def __init__(self, width: int, height: int, samples: int = 4) -> None:
         self.width, self.height = width, height
         self.ctx = ctx = create_context()
+        largest = ctx.info["GL_MAX_RENDERBUFFER_SIZE"]
+        if max(width, height) > largest:
+            raise RendererError(f"OpenGL draws at most {largest} pixels a side here, got {width}x{height}")
         asset, attributes = load_asset(), surface()
         self._first_face = attributes.first_face
         self._face_count = len(attributes.faces)
