@@ -1,6 +1,7 @@
 """Scenes: reproducible, inside the box and the picture, hands apart."""
 
 import dataclasses
+import inspect
 
 import numpy as np
 import pytest
@@ -15,6 +16,8 @@ from twohands.synth.scene import (
     held_up,
     inside_image,
     looking_from,
+    moved,
+    sample_camera,
     sample_lighting,
     sample_scene,
     sample_skin,
@@ -220,6 +223,15 @@ def test_looking_down_moves_the_hands_up():
         assert v[1] < u[1]
         distances = [np.linalg.norm(s.joints_m[side, 1 + ROOT]) for s in (a, b)]
         assert distances[0] == pytest.approx(distances[1])
+
+
+def test_a_positive_roll_turns_the_picture_as_its_help_says():
+    """Named case: the help said the other way round. Clockwise, what is to the right goes down."""
+    config = dataclasses.replace(CONFIG, roll=(20.0, 20.0))
+    _, view = sample_camera(config, np.random.default_rng(0))
+    right = moved(view, np.array([0.1, 0.0, 0.4]))
+    np.testing.assert_allclose(right[:2], 0.1 * np.array([np.cos(np.radians(20)), np.sin(np.radians(20))]), atol=1e-12)
+    assert '"""Range of the camera\'s roll; positive turns the picture clockwise."""' in inspect.getsource(SynthConfig)
 
 
 def test_wild_hands_are_in_their_box_and_mostly_in_the_picture(wild_scenes):

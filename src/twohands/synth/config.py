@@ -62,7 +62,7 @@ class SynthConfig:
     pitch: tuple[float, float] = (0.0, 0.0)
     """Range of the camera's pitch; positive looks down."""
     roll: tuple[float, float] = (0.0, 0.0)
-    """Range of the camera's roll; positive turns the picture counter-clockwise."""
+    """Range of the camera's roll; positive turns the picture clockwise."""
     camera_shift: float = 0.0
     """Largest distance of the camera from the point between the eyes, per axis."""
     webcam: float = 0.0
