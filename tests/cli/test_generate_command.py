@@ -95,6 +95,19 @@ def test_skipped_backgrounds_are_counted_and_named_at_the_end(tmp_path, capsys):
     ]
 
 
+def test_skipped_fabrics_of_frames_are_named_too(tmp_path, capsys):
+    """Named case: what the workers had met was lost."""
+    (tmp_path / "cloth").mkdir()
+    cv2.imwrite(str(tmp_path / "cloth" / "good.png"), np.full((40, 60, 3), 90, np.uint8))
+    (tmp_path / "cloth" / "bad.jpg").write_bytes(b"x")
+    options = ["--frame-width", "64", "--count", "8", "--config.sleeves", "1", "--fabrics", str(tmp_path / "cloth")]
+    for workers in ("1", "2"):
+        out = str(tmp_path / workers)
+        assert main(["generate", "frames", "--out", out, "--workers", workers, *options]) == 0
+        lines = capsys.readouterr().out.splitlines()
+        assert lines[-2:] == ["1 files were skipped:", "  fabric bad.jpg cannot be read"]
+
+
 def test_without_opengl_the_package_to_install_is_named(tmp_path, capsys, monkeypatch):
     def fail(**_):
         raise RuntimeError("libEGL.so not loaded")
