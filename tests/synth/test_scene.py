@@ -22,6 +22,7 @@ from twohands.synth.scene import (
     sample_scene,
     sample_skin,
     sees_the_person,
+    worn_on_the_head,
 )
 from twohands.synth.things import NO_LABEL
 
@@ -152,6 +153,14 @@ def test_wild_cameras_stay_in_their_ranges(wild_scenes):
         assert np.abs(place).max() <= 0.06
         down = np.degrees(np.arcsin(rotation[2, 1]))  # how far the optical axis points below the horizon
         assert -15 - 1e-6 <= down <= 40 + 1e-6
+
+
+def test_cameras_on_the_head_are_near_the_eyes_and_webcams_are_not():
+    widest = dataclasses.replace(WILD, camera_shift=0.15, pitch=(-60.0, 60.0), webcam=0.0, free_view=0.0)
+    webcam = dataclasses.replace(WILD, webcam=1.0, free_view=0.0)
+    for seed in range(200):
+        assert worn_on_the_head(sample_camera(widest, np.random.default_rng(seed))[1])
+        assert not worn_on_the_head(sample_camera(webcam, np.random.default_rng(seed))[1])
 
 
 def test_looking_from_points_the_axis_at_the_target_with_the_horizon_level():

@@ -275,7 +275,7 @@ def _amodal(instance: Ego3DHandsInstance, files: Mapping[str, bytes]) -> np.ndar
     pixels = cv2.imdecode(np.frombuffer(files[fmt.AMODAL_FILE], np.uint8), cv2.IMREAD_GRAYSCALE)
     if pixels is None or pixels.shape != instance.image.shape[:2]:
         raise DataFormatError(f"{instance.path / fmt.AMODAL_FILE}: damaged, or not of the image's size")
-    return np.stack([(pixels >> side) & 1 > 0 for side in (LEFT, RIGHT)])
+    return np.stack([np.bitwise_and(pixels, 1 << side) > 0 for side in (LEFT, RIGHT)])
 
 
 def _outline_problems(instance: Ego3DHandsInstance, amodal: np.ndarray | None) -> list[str]:
@@ -284,7 +284,7 @@ def _outline_problems(instance: Ego3DHandsInstance, amodal: np.ndarray | None) -
         return []
     height, width = instance.labels.shape
     tolerance = max(1.5, OUTLINE_TOLERANCE_PX * height / 540)
-    hands = instance.labels > 0 if amodal is None else amodal.any(axis=0)
+    hands = instance.labels > 0 if amodal is None else np.asarray(amodal.any(axis=0))
     distance = cv2.distanceTransform((~hands).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     inside = ~_outside_mask(instance)
     inside[:, 0] = False  # elbows

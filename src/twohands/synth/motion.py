@@ -70,7 +70,7 @@ class MotionConfig:
     pause: tuple[float, float] = (0.05, 0.9)
     """Range of a pause in seconds; twice that for a hand out of the picture."""
     leave_rate: float = 0.07
-    """Probability that a movement takes the hand out of the picture. Never both hands at once."""
+    """Probability that a movement takes the hand out of the picture of a camera on the head; never both hands."""
     arm_only_rate: float = 0.25
     """Probability that a movement keeps the fingers as they are."""
     hand_only_rate: float = 0.25
