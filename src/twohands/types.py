@@ -88,8 +88,8 @@ class RenderedFrame:
         joints_m: (2, 22, 3) float64, camera frame, (elbow, 21 joints); NaN for an absent hand.
         present: (2,) bool, (LEFT, RIGHT).
         camera: the camera it was rendered with.
-        amodal: (2, H, W) bool, the pixels that each arm would cover if the other and all things were away; None where
-            nobody asked for them.
+        amodal: (2, H, W) bool, the pixels that each arm would cover, with what it wears, if all else were away; None
+            where nobody asked for them.
 
     Alpha also covers things that are no part of a hand and have neither label nor depth; where there are none, a pixel
     has a label exactly where it has alpha.

@@ -43,6 +43,9 @@ def one_line(capsys: pytest.CaptureFixture[str]) -> str:
         (["--config.drop-rate", 1], "drop_rate must lie in"),
         (["--config.box-min", "0.5", "0", "0.3"], "hand box is empty"),
         (["--config.box-max", "0.1", "nan", "0.5"], "hand box is empty"),
+        (["--config.box-max", "inf", "inf", "inf"], "hand box must be finite"),
+        (["--config.box-min", "-inf", "0", "0.3"], "hand box must be finite"),
+        (["--config.width", 40000, "--config.height", 32], "image must be 32 to 16384 pixels a side, got 40000x32"),
         (["--config.skin-tones", "0.8", "0.2"], "skin_tones must be an ordered pair"),
         (["--config.hand-length", 9], "hand_length must lie in"),
         (["--config.lights", 0], "lights must be 1 to 4"),
@@ -90,6 +93,19 @@ def test_skipped_backgrounds_are_counted_and_named_at_the_end(tmp_path, capsys):
         "  background bad.jpg cannot be read",
         "  background empty.png cannot be read",
     ]
+
+
+def test_skipped_fabrics_of_frames_are_named_too(tmp_path, capsys):
+    """Named case: what the workers had met was lost."""
+    (tmp_path / "cloth").mkdir()
+    cv2.imwrite(str(tmp_path / "cloth" / "good.png"), np.full((40, 60, 3), 90, np.uint8))
+    (tmp_path / "cloth" / "bad.jpg").write_bytes(b"x")
+    options = ["--frame-width", "64", "--count", "8", "--config.sleeves", "1", "--fabrics", str(tmp_path / "cloth")]
+    for workers in ("1", "2"):
+        out = str(tmp_path / workers)
+        assert main(["generate", "frames", "--out", out, "--workers", workers, *options]) == 0
+        lines = capsys.readouterr().out.splitlines()
+        assert lines[-2:] == ["1 files were skipped:", "  fabric bad.jpg cannot be read"]
 
 
 def test_without_opengl_the_package_to_install_is_named(tmp_path, capsys, monkeypatch):

@@ -21,6 +21,8 @@ def test_users_mistakes_are_one_line(tmp_path, capsys):
         (["--sequences", "0"], "sequences"),
         (["--backgrounds", str(tmp_path / "nowhere")], "does not exist"),
         (["--motion.max-speed", "0"], "max_speed"),
+        (["--motion.duration", "0.3", "inf"], "duration must be an ordered pair of positive, finite seconds"),
+        (["--motion.pause", "0.3", "inf"], "pause must be an ordered pair of positive, finite seconds"),
     ):
         assert main(["generate", "dynamic", "--out", str(tmp_path / "set"), *wrong]) == EXIT_USER_ERROR
         assert said in capsys.readouterr().err

@@ -81,6 +81,20 @@ def test_damage_is_found(tmp_path: Path, damage: Callable[[Path], None], finding
     assert any(re.search(finding, problem.message) for problem in report.problems), report.problems
 
 
+def test_what_is_seen_of_a_hand_and_not_in_its_amodal_mask_is_found(tmp_path: Path) -> None:
+    """Named case: sets once denied watches and sleeves, which they labelled, in their amodal masks."""
+    fakes.write_instance(tmp_path / "0")
+    labels = cv2.imread(str(tmp_path / "0" / fmt.LABELS_FILE))[..., 0]
+    whole = ((labels > 0) & (labels <= 7)) + np.uint8(2) * (labels > 7)
+    cv2.imwrite(str(tmp_path / "0" / fmt.AMODAL_FILE), whole)
+    assert inspect_dataset(Ego3DHands(tmp_path)).problems == ()
+    row, column = np.argwhere(labels > 7)[0]
+    whole[row, column] = 1  # the other hand's
+    cv2.imwrite(str(tmp_path / "0" / fmt.AMODAL_FILE), whole)
+    (problem,) = inspect_dataset(Ego3DHands(tmp_path)).problems
+    assert problem.message == "right hand: 1 pixels of gt_seg.png are not in gt_amodal.png"
+
+
 def test_official_sample_is_sound(shared_data: Path) -> None:
     report = inspect_dataset(Ego3DHands(shared_data / "official" / "ego3dhands"))
     assert report.problems == ()

@@ -98,6 +98,7 @@ def test_both_renderers_give_the_same_amodal_masks(cycles, raster):
         assert (masks ^ expected).sum() < 0.01 * expected.sum()
         for side in (LEFT, RIGHT):
             seen = (frame.part_labels > 7 * side) & (frame.part_labels <= 7 + 7 * side)
+            assert (seen & ~masks[side]).sum() <= 3  # on outlines, where rays may just miss
             hidden += int((masks[side] & ~seen).sum())
     assert hidden > 50
 

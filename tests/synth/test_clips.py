@@ -19,6 +19,7 @@ from twohands.synth.clips import (
     open_clip,
     unusable,
 )
+from twohands.synth.panoramas import is_panorama
 from twohands.types import PinholeCamera
 
 CAMERA = PinholeCamera.ego3dhands(160, 90)
@@ -74,6 +75,23 @@ def test_kinds_are_recognised(folder):
     assert sorted(kinds["video"]) == ["broken.mp4", "ride.avi", "short.avi"]
     assert kinds["frames"] == ["film"] and kinds["panorama"] == ["sphere.jpg"]
     assert len(kinds["still"]) == 33 and "wide.jpg" in kinds["still"]
+
+
+@pytest.mark.parametrize(
+    ("name", "width", "height", "kind"),
+    [
+        ("narrow.jpg", 1023, 512, "still"),
+        ("least.jpg", 1024, 512, "panorama"),
+        ("odd.png", 1030, 511, "panorama"),
+        ("high.png", 1079, 533, "still"),
+        ("wide.jpg", 1041, 515, "still"),
+    ],
+)
+def test_a_panorama_is_judged_by_its_own_size(tmp_path, name, width, height, kind):
+    """Named case: an eighth of it was judged, which is 128 wide for 1023, and 128x63 for 1030x511."""
+    cv2.imwrite(str(tmp_path / name), textured(height, width))
+    assert [source.kind for source in find_clips(tmp_path)] == [kind]
+    assert is_panorama(width, height) == (kind == "panorama")
 
 
 def test_frames_of_a_folder_are_in_the_order_of_their_numbers(folder):

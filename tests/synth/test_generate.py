@@ -187,6 +187,13 @@ def test_cached_frames_are_taken_by_the_camera_of_their_preset(tmp_path):
     assert np.mean([taken[i].image[walls[i]].std() for i in range(6)]) > 0.5
 
 
+@pytest.mark.parametrize("text", ["[]", "{", '{"seed": 9, "config": []}', '{"seed": null, "config": {}}'])
+def test_frames_with_a_damaged_manifest_are_refused(tmp_path, text):
+    (tmp_path / "manifest.json").write_text(text)
+    with pytest.raises(DataFormatError, match="holds no frame cache"):
+        FrameCache(tmp_path)
+
+
 def test_frames_never_land_in_a_foreign_folder(tmp_path):
     """Named case: a user's own labels.npy was once overwritten."""
     np.save(tmp_path / "labels.npy", np.full(3, 99))

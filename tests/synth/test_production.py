@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from tests.synth.fake_production import FakeSet
 
+from twohands import files
 from twohands.errors import InputError, MissingExtraError
 from twohands.instance_index import digest, parse_index
 from twohands.synth import production as production_module
@@ -199,6 +200,68 @@ def test_a_folder_has_one_writer(tmp_path):
             make(tmp_path / "set")
 
     assert make(tmp_path / "set", announce=second).written == 11
+
+
+def test_a_folder_has_one_writer_from_whatever_environment(tmp_path, monkeypatch):
+    """Named case: a second run with other library versions replaced the manifest, and with it the file that the first
+    one had locked; both then wrote."""
+
+    def second(plan: Plan) -> None:
+        before = contents(tmp_path / "set")
+        with monkeypatch.context() as patch:
+            patch.setattr(FakeSet, "made_with", lambda self: {"fake": "2"})
+            with pytest.raises(InputError, match="another process is writing"):
+                make(tmp_path / "set")
+        assert contents(tmp_path / "set") == before
+
+    assert make(tmp_path / "set", announce=second).written == 11
+
+
+def test_a_folder_that_cannot_be_locked_can_be_written(tmp_path, monkeypatch):
+    """Some network file systems know no locks."""
+
+    def refuse(*_):
+        raise OSError(errno.EBADF, "Bad file descriptor")
+
+    fcntl = pytest.importorskip("fcntl")
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    assert make(tmp_path / "set").written == 11
+
+
+@pytest.mark.parametrize("step", ["write_bytes", "replace"])
+def test_a_run_killed_at_its_first_manifest_goes_on(tmp_path, monkeypatch, step):
+    """Named case: a manifest that was put together and never renamed made the folder count as somebody else's."""
+
+    def deadly(path: Path, *_):
+        (tmp_path / "set" / ".manifest.json.partial").write_text("half")
+        raise Killed
+
+    with monkeypatch.context() as patch:
+        if step == "replace":
+            patch.setattr(files.os, "replace", deadly)
+        else:
+            patch.setattr(Path, "write_bytes", deadly)
+        with pytest.raises(Killed):
+            make(tmp_path / "set")
+    assert make(tmp_path / "set").written == 11
+    make(tmp_path / "whole")
+    assert contents(tmp_path / "set") == contents(tmp_path / "whole")
+
+
+@pytest.mark.parametrize("there", ["a.txt", ".hidden", ".staging"])
+def test_a_folder_of_something_else_is_refused(tmp_path, there):
+    (tmp_path / there).write_text("mine")
+    with pytest.raises(InputError, match="not empty and holds no set of ours"):
+        make(tmp_path)
+    assert contents(tmp_path) == {there: b"mine"}
+
+
+@pytest.mark.parametrize("text", ["[]", "null", "7", "{", '{"made_with": 3}', "\xff"])
+def test_a_damaged_manifest_is_named(tmp_path, text):
+    (tmp_path / "manifest.json").write_text(text, encoding="latin-1")
+    with pytest.raises(InputError, match=r"manifest.json is damaged: choose another folder"):
+        make(tmp_path)
+    assert (tmp_path / "manifest.json").read_text(encoding="latin-1") == text
 
 
 def test_another_set_is_refused_by_name(tmp_path):

@@ -1,6 +1,7 @@
 """Scenes: reproducible, inside the box and the picture, hands apart."""
 
 import dataclasses
+import inspect
 
 import numpy as np
 import pytest
@@ -15,10 +16,13 @@ from twohands.synth.scene import (
     held_up,
     inside_image,
     looking_from,
+    moved,
+    sample_camera,
     sample_lighting,
     sample_scene,
     sample_skin,
     sees_the_person,
+    worn_on_the_head,
 )
 from twohands.synth.things import NO_LABEL
 
@@ -151,6 +155,14 @@ def test_wild_cameras_stay_in_their_ranges(wild_scenes):
         assert -15 - 1e-6 <= down <= 40 + 1e-6
 
 
+def test_cameras_on_the_head_are_near_the_eyes_and_webcams_are_not():
+    widest = dataclasses.replace(WILD, camera_shift=0.15, pitch=(-60.0, 60.0), webcam=0.0, free_view=0.0)
+    webcam = dataclasses.replace(WILD, webcam=1.0, free_view=0.0)
+    for seed in range(200):
+        assert worn_on_the_head(sample_camera(widest, np.random.default_rng(seed))[1])
+        assert not worn_on_the_head(sample_camera(webcam, np.random.default_rng(seed))[1])
+
+
 def test_looking_from_points_the_axis_at_the_target_with_the_horizon_level():
     rotation = looking_from(np.array([0.2, -0.1, 0.9]), np.array([0.0, 0.1, 0.3]))
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
@@ -220,6 +232,15 @@ def test_looking_down_moves_the_hands_up():
         assert v[1] < u[1]
         distances = [np.linalg.norm(s.joints_m[side, 1 + ROOT]) for s in (a, b)]
         assert distances[0] == pytest.approx(distances[1])
+
+
+def test_a_positive_roll_turns_the_picture_as_its_help_says():
+    """Named case: the help said the other way round. Clockwise, what is to the right goes down."""
+    config = dataclasses.replace(CONFIG, roll=(20.0, 20.0))
+    _, view = sample_camera(config, np.random.default_rng(0))
+    right = moved(view, np.array([0.1, 0.0, 0.4]))
+    np.testing.assert_allclose(right[:2], 0.1 * np.array([np.cos(np.radians(20)), np.sin(np.radians(20))]), atol=1e-12)
+    assert '"""Range of the camera\'s roll; positive turns the picture clockwise."""' in inspect.getsource(SynthConfig)
 
 
 def test_wild_hands_are_in_their_box_and_mostly_in_the_picture(wild_scenes):

@@ -17,6 +17,7 @@ from twohands.synth.config import WILD, SynthConfig
 from twohands.synth.executors import LocalProcesses
 from twohands.synth.motion import MotionConfig
 from twohands.synth.production import produce
+from twohands.synth.scene import worn_on_the_head
 from twohands.synth.sequences import Sequence, SequenceRenderer, SequenceSet
 from twohands.types import PinholeCamera
 
@@ -129,6 +130,20 @@ def test_splits_share_no_sequence():
 def test_nonsense_is_refused(values):
     with pytest.raises(InputError, match=next(iter(values))):
         SequenceSet(**values)
+
+
+def test_hands_leave_the_picture_of_a_camera_on_the_head_alone():
+    """Named case: before a webcam, a hand that had left took elbow, upper arm and sleeve with it from one frame to the
+    next, up to 4 % of the picture."""
+    leaving, still = MotionConfig(leave_rate=0.8, duration=(0.35, 0.4)), {"seed": 3, "sequences": 1, "frames": 40}
+    views = {"head": (0.0, 0.0), "webcam": (1.0, 0.0), "free": (0.0, 1.0)}
+    gone = {}
+    for name, (webcam, free_view) in views.items():
+        config = dataclasses.replace(WILD, width=160, height=90, webcam=webcam, free_view=free_view)
+        sequence = Sequence(SequenceSet(config, leaving, **still), 0)
+        assert worn_on_the_head(sequence.view) == (name == "head")
+        gone[name] = any(motion.away.any() for motion in sequence.motion)
+    assert gone == {"head": True, "webcam": False, "free": False}
 
 
 def test_a_wild_sequence_keeps_its_camera_and_clothes():

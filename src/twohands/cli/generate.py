@@ -182,12 +182,17 @@ def describe(plan: Plan) -> str:
 def report(outcome: Outcome, args: GenerateArgs, total: int) -> None:
     """What was written of `total` instances, and what the workers had to say."""
     print(f"{outcome.written} instances written to {args.out} ({total - outcome.written} were there already)")
-    if outcome.notes:
-        print(f"{len(outcome.notes)} files were skipped:")
-        for note in outcome.notes[:SHOWN_NOTES]:
+    _name_skipped(outcome.notes)
+
+
+def _name_skipped(notes: Sequence[str]) -> None:
+    """The user's files that could not be read, if any."""
+    if notes:
+        print(f"{len(notes)} files were skipped:")
+        for note in notes[:SHOWN_NOTES]:
             print(f"  {note}")
-        if len(outcome.notes) > SHOWN_NOTES:
-            print(f"  ... and {len(outcome.notes) - SHOWN_NOTES} more")
+        if len(notes) > SHOWN_NOTES:
+            print(f"  ... and {len(notes) - SHOWN_NOTES} more")
 
 
 def _frames(args: GenerateArgs) -> int:
@@ -201,7 +206,7 @@ def _frames(args: GenerateArgs) -> int:
         raise InputError(f"--frame-width must be a multiple of {FRAME_STEP}, got {args.frame_width}")
     config = _at_frame_size(args.config, args.frame_width)
     with progress_of("frames") as progress:
-        build_cache(
+        notes = build_cache(
             args.out,
             config,
             args.seed,
@@ -212,6 +217,7 @@ def _frames(args: GenerateArgs) -> int:
             progress=progress,
         )
     print(f"{args.count} frames in {args.out}; train on them with twohands train STAGE --data {args.out}")
+    _name_skipped(notes)
     return 0
 
 

@@ -22,6 +22,7 @@ from twohands.datasets.shards import ShardedEgo3DHands
 from twohands.errors import DataFormatError
 from twohands.geometry.camera import project
 from twohands.geometry.canonical import canonical_from_camera
+from twohands.geometry.part_labels import hand_classes
 from twohands.instance_index import INDEX_FILE, IndexEntry, digest
 from twohands.skeleton import LEFT, PART_NAMES, RIGHT, ROOT, SIDES, WRIST, part_label
 
@@ -153,7 +154,7 @@ def instance_problems(
         instance: what was read.
         alpha: (H, W) uint8 alpha channel of `color.png`, or None.
         hand_length_m: |wrist - root| that hands must have, metres; None for any.
-        amodal: (H, W) bool, where an arm is or would be if nothing hid it, or None.
+        amodal: (2, H, W) bool, where each arm is or would be if nothing hid it, or None.
 
     Returns:
         One line per contradiction; empty for a sound instance.
@@ -163,6 +164,7 @@ def instance_problems(
         *_joint_problems(instance, hand_length_m),
         *_outline_problems(instance, amodal),
         *_mask_problems(instance, alpha),
+        *_amodal_problems(instance, amodal),
         *_surface_problems(instance),
     ]
 
@@ -263,7 +265,7 @@ def _joint_problems(instance: Ego3DHandsInstance, hand_length_m: float | None) -
 
 
 def _amodal(instance: Ego3DHandsInstance, files: Mapping[str, bytes]) -> np.ndarray | None:
-    """(H, W) bool of `gt_amodal.png`, where there is one.
+    """(2, H, W) bool of `gt_amodal.png`, where there is one.
 
     Raises:
         DataFormatError: it is no picture, or not of the image's size.
@@ -273,7 +275,7 @@ def _amodal(instance: Ego3DHandsInstance, files: Mapping[str, bytes]) -> np.ndar
     pixels = cv2.imdecode(np.frombuffer(files[fmt.AMODAL_FILE], np.uint8), cv2.IMREAD_GRAYSCALE)
     if pixels is None or pixels.shape != instance.image.shape[:2]:
         raise DataFormatError(f"{instance.path / fmt.AMODAL_FILE}: damaged, or not of the image's size")
-    return np.asarray(pixels) > 0
+    return np.stack([np.bitwise_and(pixels, 1 << side) > 0 for side in (LEFT, RIGHT)])
 
 
 def _outline_problems(instance: Ego3DHandsInstance, amodal: np.ndarray | None) -> list[str]:
@@ -282,7 +284,7 @@ def _outline_problems(instance: Ego3DHandsInstance, amodal: np.ndarray | None) -
         return []
     height, width = instance.labels.shape
     tolerance = max(1.5, OUTLINE_TOLERANCE_PX * height / 540)
-    hands = instance.labels > 0 if amodal is None else amodal
+    hands = instance.labels > 0 if amodal is None else np.asarray(amodal.any(axis=0))
     distance = cv2.distanceTransform((~hands).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     inside = ~_outside_mask(instance)
     inside[:, 0] = False  # elbows
@@ -311,6 +313,18 @@ def _mask_problems(instance: Ego3DHandsInstance, alpha: np.ndarray | None) -> li
             found.append(f"{name_a} and {name_b} differ in size")
         elif different := np.count_nonzero(mask_a != mask_b):
             found.append(f"{name_a} and {name_b} disagree on the foreground in {different} pixels")
+    return found
+
+
+def _amodal_problems(instance: Ego3DHandsInstance, amodal: np.ndarray | None) -> list[str]:
+    """What is seen of a hand is a part of it, whatever else is hidden."""
+    if amodal is None or instance.labels is None:
+        return []
+    seen = hand_classes(instance.labels)
+    found = []
+    for side in (LEFT, RIGHT):
+        if denied := np.count_nonzero((seen == 1 + side) & ~amodal[side]):
+            found.append(f"{SIDES[side]} hand: {denied} pixels of {fmt.LABELS_FILE} are not in {fmt.AMODAL_FILE}")
     return found
 
 

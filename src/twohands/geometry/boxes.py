@@ -184,9 +184,9 @@ def apply_homography(homography: Array, points: Array) -> Array:
         (..., N, 2) pixels; NaN for points behind the camera.
     """
     xp, homography, points = float_arrays(homography, points)
-    mapped = xp.matmul(
-        xp.concat([points, xp.ones_like(points[..., :1])], axis=-1), xp.matrix_transpose(homography)
-    )  # (..., N, 3)
+    points = xp.concat([points, xp.ones_like(points[..., :1])], axis=-1)
+    with np.errstate(invalid="ignore"):  # an infinite point has no place on the other side: NaN
+        mapped = xp.matmul(points, xp.matrix_transpose(homography))  # (..., N, 3)
     in_front = mapped[..., 2:] > 0
     depth = xp.where(in_front, mapped[..., 2:], xp.ones_like(mapped[..., 2:]))
     return xp.where(in_front, mapped[..., :2] / depth, xp.nan)

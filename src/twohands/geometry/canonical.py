@@ -9,6 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from twohands.geometry._arrays import float_arrays
 from twohands.geometry.rotation import centring_angles, rotate, rotation_from_angles
 from twohands.skeleton import ROOT, WRIST
@@ -99,7 +101,9 @@ def camera_from_canonical(
     """
     xp, canonical, length, radius, theta, phi = float_arrays(canonical, hand_length_m, radius_m, theta, phi)
     zero = xp.zeros_like(radius)
-    centred = canonical * length[..., None, None] + xp.stack([zero, zero, radius], axis=-1)[..., None, :]
+    away = xp.stack([zero, zero, radius], axis=-1)[..., None, :]
+    with np.errstate(invalid="ignore"):  # the root of an infinite hand has no place: NaN
+        centred = canonical * length[..., None, None] + away
     return rotate(xp.matrix_transpose(rotation_from_angles(theta, phi)), centred)
 
 
@@ -135,7 +139,9 @@ def cartesian_alignment(canonical: Array, hand_length_m: Array | float, joints_m
     xp, canonical, length, joints_m_gt = float_arrays(canonical, hand_length_m, joints_m_gt)
     root = joints_m_gt[..., ROOT, :]
     known = xp.all(xp.isfinite(root), axis=-1) & xp.any(root != 0, axis=-1)
-    return xp.where(known[..., None, None], canonical * length[..., None, None] + root[..., None, :], xp.nan)
+    with np.errstate(invalid="ignore"):  # as `camera_from_canonical`
+        joints_m = canonical * length[..., None, None] + root[..., None, :]
+    return xp.where(known[..., None, None], joints_m, xp.nan)
 
 
 def _stand_in(xp: Any, like: Array) -> Any:

@@ -200,11 +200,12 @@ def drawn_to_rays(
     away = xp.stack([zero, zero, radius], axis=-1)[..., None, :] / length[..., None, None]
     placed = canonical + away
     rays = rays / xp.linalg.vector_norm(rays, axis=-1)[..., None]
-    on_ray = rays * xp.linalg.vector_norm(placed, axis=-1)[..., None] - away
-    drawn = xp.where(usable[..., None], canonical + part[..., None] * (on_ray - canonical), canonical)
-    lengths, drawn_lengths = (xp.linalg.vector_norm(pose[..., WRIST, :], axis=-1) for pose in (canonical, drawn))
-    back = lengths / xp.where(drawn_lengths > 0, drawn_lengths, 1.0)
-    return xp.where((joint == WRIST)[..., None], drawn * back[..., None, None], drawn)
+    with np.errstate(invalid="ignore"):  # an infinite joint goes nowhere: NaN
+        on_ray = rays * xp.linalg.vector_norm(placed, axis=-1)[..., None] - away
+        drawn = xp.where(usable[..., None], canonical + part[..., None] * (on_ray - canonical), canonical)
+        lengths, drawn_lengths = (xp.linalg.vector_norm(pose[..., WRIST, :], axis=-1) for pose in (canonical, drawn))
+        back = lengths / xp.where(drawn_lengths > 0, drawn_lengths, 1.0)
+        return xp.where((joint == WRIST)[..., None], drawn * back[..., None, None], drawn)
 
 
 def consistent_joints_px(

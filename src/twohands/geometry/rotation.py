@@ -65,7 +65,8 @@ def rotation_from_angles(theta: Array, phi: Array) -> Array:
     Source: SPEC 5.1, written for the axis order (x, y, z); the paper's is (row, column, depth).
     """
     xp, theta, phi = float_arrays(theta, phi)
-    cos_t, sin_t, cos_p, sin_p = xp.cos(theta), xp.sin(theta), xp.cos(phi), xp.sin(phi)
+    with np.errstate(invalid="ignore"):  # an infinite angle has no rotation: NaN
+        cos_t, sin_t, cos_p, sin_p = xp.cos(theta), xp.sin(theta), xp.cos(phi), xp.sin(phi)
     rows = (
         (cos_p, -sin_p * sin_t, -sin_p * cos_t),
         (xp.zeros_like(cos_p), cos_t, -sin_t),
@@ -91,4 +92,5 @@ def rotate(rotation: Array, points: Array) -> Array:
         (..., N, 3).
     """
     xp, rotation, points = float_arrays(rotation, points)
-    return xp.matmul(points, xp.matrix_transpose(rotation))
+    with np.errstate(invalid="ignore"):  # an infinite point has no place after a rotation: NaN
+        return xp.matmul(points, xp.matrix_transpose(rotation))

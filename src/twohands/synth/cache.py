@@ -61,7 +61,7 @@ def build_cache(
     renderer: RendererName = "raster",
     fabrics: Path | None = None,
     progress: Callable[[int, int], None] | None = None,
-) -> None:
+) -> tuple[str, ...]:
     """Renders `count` frames into `folder`; an interrupted build goes on where it stopped.
 
     Args:
@@ -73,6 +73,9 @@ def build_cache(
         renderer: who draws.
         fabrics: folder of tileable pictures for sleeves and gloves; plain and striped ones if None.
         progress: called with (frames done, count) now and then.
+
+    Returns:
+        A line for every picture of the user's that was skipped, sorted.
 
     Raises:
         InputError: the folder holds something else, there is no room for the frames, or the seed is negative.
@@ -94,10 +97,13 @@ def build_cache(
             _allocate(folder / f"{name}.npy", shape, dtype)
         missing = [int(i) for i in np.flatnonzero(~np.load(folder / "done.npy", mmap_mode="r"))]
         finished = count - len(missing)
-        for _ in LocalProcesses(workers).run(partial(_open_frames, stream, folder, tuple(layout)), missing):
+        notes: set[str] = set()
+        for unreadable in LocalProcesses(workers).run(partial(_open_frames, stream, folder, tuple(layout)), missing):
+            notes.update(unreadable)
             finished += 1
             if progress is not None:
                 progress(finished, count)
+    return tuple(sorted(notes))
 
 
 def _allocate(path: Path, shape: tuple[int, ...], dtype: type) -> None:
@@ -115,12 +121,13 @@ def _allocate(path: Path, shape: tuple[int, ...], dtype: type) -> None:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from error
 
 
-def _open_frames(stream: SyntheticStream, folder: Path, names: tuple[str, ...]) -> Callable[[int], int]:
+def _open_frames(stream: SyntheticStream, folder: Path, names: tuple[str, ...]) -> Callable[[int], tuple[str, ...]]:
     """What a worker does with an index."""
     return partial(_render_frame, stream, {name: np.load(folder / f"{name}.npy", mmap_mode="r+") for name in names})
 
 
-def _render_frame(stream: SyntheticStream, arrays: dict[str, np.ndarray], index: int) -> int:
+def _render_frame(stream: SyntheticStream, arrays: dict[str, np.ndarray], index: int) -> tuple[str, ...]:
+    """Puts a frame into the arrays; returns `SyntheticStream.unreadable`."""
     frame = stream.frame(index)
     arrays["rgba"][index, ..., :3] = frame.rgb
     arrays["rgba"][index, ..., 3] = frame.alpha
@@ -130,7 +137,7 @@ def _render_frame(stream: SyntheticStream, arrays: dict[str, np.ndarray], index:
     camera = frame.camera
     arrays["intrinsics"][index] = camera.fx, camera.fy, camera.cx, camera.cy
     arrays["done"][index] = True
-    return index
+    return stream.unreadable
 
 
 def vary_arms(rgb: np.ndarray, labels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -189,7 +196,7 @@ class FrameCache:
                 for name in ("rgba", "labels", "joints", "present", "intrinsics")
             }
             done = np.load(folder / "done.npy", mmap_mode="r")
-        except (OSError, ValueError, KeyError) as error:
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise DataFormatError(f"{folder} holds no frame cache: {error}") from error
         start, stop = frames or (0, len(done))
         if not done[start:stop].all():

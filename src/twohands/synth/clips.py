@@ -20,6 +20,7 @@ import numpy as np
 from twohands.errors import InputError
 from twohands.synth.backgrounds import Background, Look, procedural_picture
 from twohands.synth.panoramas import (
+    ASPECT,
     Surroundings,
     is_panorama,
     light_file,
@@ -42,6 +43,9 @@ MIN_FOLDER_FRAMES = 30
 SIMILAR_FRAMES = 20.0
 """Mean difference of neighbouring frames' thumbnails, of 255, above which numbered pictures are not a film."""
 MAX_PANORAMA_WIDTH = 4096
+DOUBTFUL_ASPECT = 0.1
+"""An eighth of a panorama, 128 pixels wide or more and rounded to whole ones, is less than this from twice as wide as
+high."""
 Kind = Literal["video", "frames", "panorama", "still", "room"]
 
 
@@ -506,11 +510,12 @@ def _is_film(files: list[Path]) -> bool:
 
 
 def _is_panorama(path: Path) -> bool:
-    picture = cv2.imread(str(path), cv2.IMREAD_REDUCED_COLOR_8)
-    if picture is None:
+    """Whether a picture's own size is that of a panorama; one that is clearly none is read small, for that is quick."""
+    small = cv2.imread(str(path), cv2.IMREAD_REDUCED_COLOR_8)
+    if small is None or abs(small.shape[1] / small.shape[0] - ASPECT) > DOUBTFUL_ASPECT:
         return False
-    height, width = picture.shape[:2]
-    return is_panorama(8 * width, 8 * height)
+    picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    return picture is not None and is_panorama(*picture.shape[1::-1])
 
 
 def _relative(sources: list[ClipSource], folder: Path) -> list[ClipSource]:

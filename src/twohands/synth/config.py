@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isfinite
 
 from twohands.errors import InputError
 from twohands.types import PinholeCamera
@@ -12,6 +13,8 @@ SHARES = (
     *("background_light", "sensor", "webcam", "free_view", "skin_detail", "gestures", "shown"),
 )
 """Settings of `SynthConfig` between 0 and 1."""
+SIDE_PX = (32, 16384)
+"""Range of a picture's width and height; the upper end is that of common OpenGL drivers."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +62,7 @@ class SynthConfig:
     pitch: tuple[float, float] = (0.0, 0.0)
     """Range of the camera's pitch; positive looks down."""
     roll: tuple[float, float] = (0.0, 0.0)
-    """Range of the camera's roll; positive turns the picture counter-clockwise."""
+    """Range of the camera's roll; positive turns the picture clockwise."""
     camera_shift: float = 0.0
     """Largest distance of the camera from the point between the eyes, per axis."""
     webcam: float = 0.0
@@ -89,8 +92,10 @@ class SynthConfig:
         return any((self.together, self.objects, self.webcam, self.free_view)) or self.pitch != (0.0, 0.0)
 
     def __post_init__(self) -> None:
-        if self.width < 32 or self.height < 32:
-            raise InputError(f"image must be at least 32x32 pixels, got {self.width}x{self.height}")
+        if not all(SIDE_PX[0] <= side <= SIDE_PX[1] for side in (self.width, self.height)):
+            raise InputError(
+                f"image must be {SIDE_PX[0]} to {SIDE_PX[1]} pixels a side, got {self.width}x{self.height}"
+            )
         if not 0 <= self.drop_rate < 1:
             raise InputError(f"drop_rate must lie in [0, 1), got {self.drop_rate}")
         if not 0 <= self.body_variation <= 1:
@@ -99,6 +104,8 @@ class SynthConfig:
             raise InputError(f"hand_length must lie in [0.02, 0.5] metres, got {self.hand_length}")
         if not all(a < b for a, b in zip(self.box_min, self.box_max, strict=True)) or self.box_min[2] <= 0:
             raise InputError(f"hand box is empty or behind the camera: {self.box_min} to {self.box_max}")
+        if not all(map(isfinite, (*self.box_min, *self.box_max))):
+            raise InputError(f"hand box must be finite: {self.box_min} to {self.box_max}")
         if not 0 <= self.skin_tones[0] <= self.skin_tones[1] <= 1:
             raise InputError(f"skin_tones must be an ordered pair in [0, 1], got {self.skin_tones}")
         if not 0 <= self.image_margin < 0.4:

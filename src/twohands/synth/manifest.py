@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import json
+import os
 import platform
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 from twohands import __version__
 from twohands.errors import InputError
-from twohands.files import write_whole
+from twohands.files import partial_path, write_whole
 from twohands.instance_index import MANIFEST_FILE
 
 MADE_WITH = "made_with"
@@ -51,19 +52,20 @@ def claimed_folder(folder: Path, identity: dict[str, Any], made_with: dict[str, 
     """
     path = folder / MANIFEST_FILE
     identity = json.loads(json.dumps({**identity, "twohands": __version__}))
-    environments: list[dict[str, str]] = []
-    try:
-        if path.is_file():
-            environments = _check_identity(folder, path, identity)
-        elif folder.is_dir() and any(folder.iterdir()):
-            raise InputError(f"output {folder} is not empty and holds no set of ours: choose another folder")
-        folder.mkdir(parents=True, exist_ok=True)
-        if made_with not in environments:
-            content = json.dumps({**identity, MADE_WITH: [*environments, made_with]}, indent=2) + "\n"
-            write_whole(path, content.encode())
-    except OSError as error:
-        raise InputError(f"output {folder}: cannot be written: {error.strerror}") from error
-    with _locked(path):
+    with ExitStack() as stack:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            stack.enter_context(_locked(folder))
+            environments: list[dict[str, str]] = []
+            if path.is_file():
+                environments = _check_identity(folder, path, identity)
+            elif any(there != partial_path(path) for there in folder.iterdir()):
+                raise InputError(f"output {folder} is not empty and holds no set of ours: choose another folder")
+            if made_with not in environments:
+                content = json.dumps({**identity, MADE_WITH: [*environments, made_with]}, indent=2) + "\n"
+                write_whole(path, content.encode())
+        except OSError as error:
+            raise InputError(f"output {folder}: cannot be written: {error.strerror}") from error
         yield
 
 
@@ -71,9 +73,10 @@ def _check_identity(folder: Path, path: Path, identity: dict[str, Any]) -> list[
     """The environments of a manifest whose identity is as given."""
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
-        environments = found.pop(MADE_WITH, [])
-    except (ValueError, AttributeError) as error:
-        raise InputError(f"{path} is damaged: choose another folder") from error
+    except ValueError:
+        found = None
+    if not isinstance(found, dict) or not isinstance(environments := found.pop(MADE_WITH, []), list):
+        raise InputError(f"{path} is damaged: choose another folder")
     differences = _differences(found, identity)
     if differences:
         shown = "; ".join(differences[:_SHOWN]) + ("; ..." if len(differences) > _SHOWN else "")
@@ -94,18 +97,22 @@ def _differences(there: dict[str, Any], here: dict[str, Any], prefix: str = "") 
 
 
 @contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    """Holds an advisory lock on a file; the system lets go of it when the process ends, however it ends."""
+def _locked(folder: Path) -> Iterator[None]:
+    """Holds an advisory lock on a folder, which unlike the files in it is never replaced; the system lets go of it when
+    the process ends, however it ends."""
     try:
         import fcntl
     except ImportError:  # Windows has other locks; two runs in one folder are then the user's to avoid
         yield
         return
-    with path.open("rb") as file:
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise InputError(f"another process is writing to {path.parent}: wait for it, or stop it") from None
+            raise InputError(f"another process is writing to {folder}: wait for it, or stop it") from None
         except OSError:  # some network file systems know no locks
             pass
         yield
+    finally:
+        os.close(descriptor)

@@ -70,7 +70,7 @@ class MotionConfig:
     pause: tuple[float, float] = (0.05, 0.9)
     """Range of a pause in seconds; twice that for a hand out of the picture."""
     leave_rate: float = 0.07
-    """Probability that a movement takes the hand out of the picture. Never both hands at once."""
+    """Probability that a movement takes the hand out of the picture of a camera on the head; never both hands."""
     arm_only_rate: float = 0.25
     """Probability that a movement keeps the fingers as they are."""
     hand_only_rate: float = 0.25
@@ -91,8 +91,10 @@ class MotionConfig:
     def __post_init__(self) -> None:
         for name in ("duration", "pause"):
             low, high = getattr(self, name)
-            if not 0 < low <= high:
-                raise InputError(f"motion {name} must be an ordered pair of positive seconds, got {(low, high)}")
+            if not 0 < low <= high < np.inf:
+                raise InputError(
+                    f"motion {name} must be an ordered pair of positive, finite seconds, got {(low, high)}"
+                )
         for name in ("pause_rate", "leave_rate", "arm_only_rate", "hand_only_rate"):
             if not 0 <= getattr(self, name) <= 1:
                 raise InputError(f"motion {name} must lie in [0, 1], got {getattr(self, name)}")

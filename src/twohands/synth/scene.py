@@ -363,6 +363,11 @@ def sees_the_person(view: np.ndarray) -> bool:
     return bool(moved(view, np.array([[0.0, 0.0, -0.09], [0.0, 0.35, -0.1]]))[:, 2].max() > 0.1)
 
 
+def worn_on_the_head(view: np.ndarray) -> bool:
+    """Whether a camera with the view (3, 4) sits about the eyes, not before the person or beside."""
+    return bool(np.linalg.norm(view[:, :3].T @ view[:, 3]) < ABOUT_THE_EYES_M)
+
+
 def moved(view: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Points (..., 3) after the rigid transform `view` (3, 4)."""
     return points @ view[:, :3].T + view[:, 3]
@@ -474,6 +479,8 @@ def sample_scene(config: SynthConfig, seed: int, index: int, fabrics: FabricFold
     )
 
 
+ABOUT_THE_EYES_M = 0.3
+"""Farther from the point between the eyes than any `SynthConfig.camera_shift`, nearer than a webcam."""
 HANDS_CENTRE = np.array([0.0, 0.05, 0.32])
 """Where cameras that are not on the head look: the middle of the hand boxes, metres, frame between the eyes."""
 NEAR_PARTNER_M = (0.03, 0.13)

@@ -40,6 +40,7 @@ from twohands.synth.scene import (
     sample_skin_detail,
     sees_the_person,
     viewed,
+    worn_on_the_head,
     woven,
 )
 from twohands.synth.seeds import Split, stream_seed
@@ -195,9 +196,13 @@ class Sequence:
 
     @cached_property
     def motion(self) -> tuple[HandMotion, HandMotion]:
-        """(LEFT, RIGHT), planned when first needed; about a second for 500 frames."""
+        """(LEFT, RIGHT), planned when first needed; about a second for 500 frames.
+
+        A camera before or beside the person would still see the upper arm of a hand that has left: there, none leaves.
+        """
+        settings = self.set.motion if worn_on_the_head(self.view) else replace(self.set.motion, leave_rate=0.0)
         rng = _rng(self.set.scene_seed, _MOTION_STREAM, self.index)
-        return plan_motion(self.set.config, self.set.motion, self.arms, self.camera, self.view, self.times, rng)
+        return plan_motion(self.set.config, settings, self.arms, self.camera, self.view, self.times, rng)
 
     def scene(self, frame: int) -> SceneSpec:
         """What to render for one frame; nothing has to be rendered before it.

@@ -59,6 +59,11 @@ class Thing:
     label: int
     core: tuple[np.ndarray, float] | None = None
 
+    @property
+    def side(self) -> int | None:
+        """LEFT or RIGHT, for what is worn and counts as part of that hand or its arm; None for all else."""
+        return None if self.label == NO_LABEL else (self.label - 1) // len(PART_NAMES)
+
 
 def superquadric(
     half: np.ndarray, round_across: float, round_along: float, rows: int = 17, columns: int = 32

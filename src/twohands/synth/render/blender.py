@@ -13,6 +13,7 @@ import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -140,7 +141,7 @@ class BlenderRenderer:
             _write(mesh.attributes["rest"], rest[side_of == side])
             mesh.update()
         _write_things(self._things.data, posed_things(scene))
-        self._show(scene.present, things=True)
+        self._show(scene.present)
         for target in (self._colour, self._labels):
             place_camera(target, scene.camera)
         build_skin(self._skin.node_tree, scene)
@@ -152,17 +153,18 @@ class BlenderRenderer:
         """Amodal masks of the scene that was just rendered.
 
         Returns:
-            (2, H, W) bool, the pixels that each arm covers when it is drawn alone.
+            (2, H, W) bool, the pixels that each arm covers when it is drawn alone, with what it wears.
         """
         masks = np.zeros((2, self.height, self.width), bool)
         for side in np.flatnonzero(scene.present):
-            self._show(np.arange(2) == side, things=False)
+            worn = tuple(thing for thing in scene.things if thing.side == side)
+            _write_things(self._things.data, posed_things(replace(scene, things=worn)))
+            self._show(np.arange(2) == side)
             masks[side] = self._picture(self._labels)[..., 0] > 0.5
         return masks
 
-    def _show(self, arms: np.ndarray, *, things: bool) -> None:
-        """Shows those of the (2,) arms alone, with or without the things."""
-        self._things.hide_render = not things
+    def _show(self, arms: np.ndarray) -> None:
+        """Shows those of the (2,) arms alone."""
         for arm, shown in zip(self._arms, arms, strict=True):
             arm.hide_render = not shown
 

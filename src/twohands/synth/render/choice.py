@@ -25,7 +25,8 @@ class Renderer(Protocol):
         ...
 
     def amodal(self, scene: SceneSpec) -> np.ndarray:
-        """(2, H, W) bool, the pixels that each arm covers when it is drawn alone; of the scene just rendered."""
+        """(2, H, W) bool, the pixels that each arm covers when it is drawn alone, with what it wears; of the scene just
+        rendered."""
         ...
 
 

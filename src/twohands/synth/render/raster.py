@@ -87,12 +87,15 @@ class RasterRenderer:
 
     Raises:
         MissingExtraError: moderngl is not installed.
-        RendererError: no OpenGL context can be made.
+        RendererError: no OpenGL context can be made, or it draws no pictures of this size.
     """
 
     def __init__(self, width: int, height: int, samples: int = 4) -> None:
         self.width, self.height = width, height
         self.ctx = ctx = create_context()
+        largest = ctx.info["GL_MAX_RENDERBUFFER_SIZE"]
+        if max(width, height) > largest:
+            raise RendererError(f"OpenGL draws at most {largest} pixels a side here, got {width}x{height}")
         asset, attributes = load_asset(), surface()
         self._first_face = attributes.first_face
         self._face_count = len(attributes.faces)
@@ -204,14 +207,18 @@ class RasterRenderer:
         """Amodal masks of a scene that was just rendered.
 
         Returns:
-            (2, H, W) bool, the pixels that each arm covers when it is drawn alone.
+            (2, H, W) bool, the pixels that each arm covers when it is drawn alone, with what it wears.
         """
         masks = np.zeros((2, self.height, self.width), bool)
+        first_corners = np.cumsum([0, *(thing.faces.size for thing in scene.things)])
         with self.ctx:
             self._labelled.use()
             for side in np.flatnonzero(scene.present):
                 self.ctx.clear(0.0, 0.0, 0.0, 0.0)
                 self._draw(self._label_array, np.arange(2) == side)
+                for first, thing in zip(first_corners, scene.things, strict=False):
+                    if thing.side == side:
+                        self._thing_arrays[1].render(first=int(first), vertices=thing.faces.size)
                 labels = np.frombuffer(self._labelled.read(components=1, alignment=1), np.uint8)
                 masks[side] = labels.reshape(self.height, self.width) > 0
         return masks
