@@ -262,6 +262,17 @@ def ablations(complete: TruthfulEstimator, floating: Networks | None) -> list[Ab
     def read_by(decoder: str) -> Estimate:
         return complete if decoder == card.heatmap_decode else TruthfulEstimator(OtherReadOut(networks, card, decoder))
 
+    as_projected = dataclasses.replace(card, range_errors=None)
+    places: dict[str, Estimate] = {
+        "key bone": TruthfulEstimator(OtherSolver(networks, as_projected, "keybone")),
+        "all joints alike": TruthfulEstimator(OtherSolver(networks, as_projected, "all-joints")),
+        "all joints, weighted": TruthfulEstimator(OtherSolver(networks, as_projected, "all-joints", weighted=True)),
+        "fitted": TruthfulEstimator(HandEstimator(networks, as_projected)),
+        "fitted, the likely range": complete,
+    }
+    if card.range_errors is None:
+        places["fitted"] = places.pop("fitted, the likely range")
+
     found = [
         Ablation(
             "Read-out of the heatmaps",
@@ -274,13 +285,8 @@ def ablations(complete: TruthfulEstimator, floating: Networks | None) -> list[Ab
         ),
         Ablation(
             "The root's place",
-            "The paper's: key bone. Ours: the last row. In the others the direction is that of the root's own pixel.",
-            {
-                "key bone": TruthfulEstimator(OtherSolver(networks, card, "keybone")),
-                "all joints alike": TruthfulEstimator(OtherSolver(networks, card, "all-joints")),
-                "all joints, weighted": TruthfulEstimator(OtherSolver(networks, card, "all-joints", weighted=True)),
-                "fitted": complete,
-            },
+            "The paper's: key bone. Ours: the last row. In the first three the root keeps its own pixel.",
+            places,
         ),
         Ablation(
             "Joints drawn to their lines of sight",
