@@ -91,7 +91,7 @@ class StageTruth:
         masks: (H, W) uint8, 0 background, 1 left, 2 right.
         boxes_px: (2, 4) tight boxes in pixels; NaN for an absent hand.
         present: (2,) bool. A present hand still needs a box, true or estimated, to be found.
-        joints_px: (2, 21, 2) pixels.
+        joints_px: (2, 21, 2) pixels; NaN for a joint that is left to the estimate.
         heatmaps: (2, 21, M, M) maps of the crops that the pipeline cuts from its boxes; no cues come with them.
         canonical: (2, 21, 3) unitless canonical joints of the real, unmirrored hands.
     """
@@ -453,16 +453,17 @@ class HandEstimator:
     def read_out(
         self, heatmaps: np.ndarray, crops: list[HandCrop], truth: StageTruth = NO_TRUTH
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Heatmaps -> joints (B, 21, 2) in pixels of the picture, un-mirrored, and scores (B, 21): 1 for labels; 0
-        where the crop of a wide camera shows what has no pixel (`points_from_crops`)."""
+        """Heatmaps -> joints (B, 21, 2) in pixels of the picture, un-mirrored, and scores (B, 21): 1 for labels, which
+        replace what they know; 0 where the crop of a wide camera shows what has no pixel (`points_from_crops`)."""
         cells, scores = read_joints(heatmaps[:, :N_JOINTS], self.card.heatmap_decode)
         crop_px = cells * (self.card.crop_size / heatmaps.shape[-1])
         image_from_crop = np.stack([crop.image_from_crop for crop in crops])
         joints_px, found = points_from_crops(image_from_crop, crop_px, self.card.crop_size)
         scores = np.where(found, scores, 0.0)
         if truth.joints_px is not None:
-            joints_px = truth.joints_px[[crop.side for crop in crops]]
-            scores = np.ones_like(scores)
+            true_px = truth.joints_px[[crop.side for crop in crops]]
+            known = np.asarray(np.isfinite(true_px).all(axis=-1))
+            joints_px, scores = np.where(known[..., None], true_px, joints_px), np.where(known, 1.0, scores)
         return joints_px, scores
 
     def lift(self, look: Look, truth: StageTruth = NO_TRUTH) -> np.ndarray:
