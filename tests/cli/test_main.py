@@ -89,6 +89,38 @@ def test_an_expected_failure_is_one_line_and_exit_2(monkeypatch, capsys):
     assert capsys.readouterr().err == "twohands: error: this is wrong\n"
 
 
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [
+        (PermissionError(13, "Permission denied", "private/a.npz"), "private/a.npz: Permission denied"),
+        (OSError(36, "File name too long", "aaa"), "aaa: File name too long"),
+        (OSError(28, "No space left on device"), "No space left on device"),
+        (OSError("without a number"), "without a number"),
+    ],
+)
+def test_a_file_that_the_system_refuses_is_one_line_and_exit_2(error, message, monkeypatch, capsys):
+    fake_verb(monkeypatch, error)
+    assert main(["fake"]) == 2
+    assert capsys.readouterr().err == f"twohands: error: {message}\n"
+
+
+def test_a_name_too_long_for_a_file_is_one_line_for_verbs_that_look_at_files(capsys):
+    name = "a" * 300
+    report = ["eval", "report", "d", "--predictions", f"{name}.npz", "--out", "report"]
+    for words in (["inspect", name], ["bake", "--out", f"{name}/a.npz"], report):
+        assert main(words) == 2
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1 and name in error, words
+
+
+def test_bake_replaces_nothing_and_names_the_file(tmp_path, capsys):
+    asset = tmp_path / "arms.npz"
+    asset.write_bytes(b"precious")
+    assert main(["bake", "--out", str(asset)]) == 2
+    assert capsys.readouterr().err == f"twohands: error: {asset}: exists already; choose another --out\n"
+    assert asset.read_bytes() == b"precious"
+
+
 def test_ctrl_c_is_exit_130_without_traceback(monkeypatch, capsys):
     fake_verb(monkeypatch, KeyboardInterrupt())
     assert main(["fake"]) == 130

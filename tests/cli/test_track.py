@@ -220,6 +220,22 @@ def test_results_are_not_overwritten_unasked(picture, weights, tmp_path, capsys)
     assert "hands.json" in files_below(out)
 
 
+@pytest.mark.parametrize("spelling", ["in", "in/../in", "link"])
+def test_results_do_not_go_among_the_images(spelling, weights, tmp_path, capsys):
+    """a_overlay.png may be an image of the user's own."""
+    folder = tmp_path / "in"
+    folder.mkdir()
+    (tmp_path / "link").symlink_to(folder)
+    before = [write_picture(folder / name).read_bytes() for name in ("a.png", "a_overlay.png")]
+    for more in ([], ["--overwrite"]):
+        assert run_track(folder, "--out", tmp_path / spelling, "--weights", weights, *more) == 2
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1 and "folder of the images" in error and "--overwrite" not in error
+    assert files_below(folder) == ["a.png", "a_overlay.png"]
+    assert [(folder / name).read_bytes() for name in files_below(folder)] == before
+    assert run_track(folder, "--out", folder / "results", "--weights", weights) == 0
+
+
 def test_the_default_folder_is_named_after_the_input(picture, weights, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert run_track(picture, "--weights", weights) == 0

@@ -8,11 +8,13 @@ from tests.builders import CENTRED_CAMERA, OFF_CENTRE_CAMERA, open_hand
 from twohands.errors import InputError
 from twohands.geometry.boxes import (
     apply_homography,
+    box_before_camera,
     box_from_points,
     box_in_picture,
     box_iou,
     image_from_rolled,
     perspective_crop,
+    points_from_crops,
     rolled_box,
     square_crop,
     warp_image,
@@ -23,6 +25,7 @@ from twohands.geometry.rotation import rotation_about_z
 from twohands.skeleton import LEFT, RIGHT
 from twohands.types import PinholeCamera
 
+WIDE_CAMERA = PinholeCamera.from_fov(150, 960, 540)
 BOX = np.array([330.0, 40.0, 450.0, 110.0])
 CROP_CORNERS = np.array([[0.0, 0.0], [256.0, 0.0], [0.0, 256.0], [256.0, 256.0], [128.0, 128.0], [10.0, 200.0]])
 
@@ -168,6 +171,42 @@ def test_other_bad_requests_are_refused():
         square_crop(BOX, size=256, side=2)
     with pytest.raises(InputError, match="half space"):
         perspective_crop([0, 0, 1e9, 10], CENTRED_CAMERA, size=256, side=LEFT)
+
+
+@pytest.mark.parametrize("box", [[600, 100, 960, 500], [0, 0, 959, 540], [-900, 200, 950, 300]])
+def test_an_estimated_box_is_shrunk_about_its_centre_where_there_is_no_crop_of_it(box):
+    """A growing box is as it is, up to a size at which it stays; of every one there is a crop."""
+    box = np.array(box, float)
+    middle, half = (box[:2] + box[2:]) / 2, (box[2:] - box[:2]) / 2
+    grown = [np.concatenate([middle - k * half, middle + k * half]) for k in (1e-3, 0.3, 0.5, 1, 2, 4, 1e6)]
+    found = [box_before_camera(each, WIDE_CAMERA) for each in grown]
+    same = [np.array_equal(*pair) for pair in zip(grown, found, strict=True)]
+    assert same == sorted(same, reverse=True) and same[0] and not same[-1]
+    for each, is_same in zip(found, same, strict=True):
+        assert np.isfinite(perspective_crop(each, WIDE_CAMERA, size=256, side=LEFT)).all()
+        np.testing.assert_allclose((each[:2] + each[2:]) / 2, middle, atol=1e-9)
+        if not is_same:
+            np.testing.assert_allclose(each, found[-1], atol=1e-9)
+
+
+def test_a_point_found_behind_the_camera_is_moved_towards_the_crops_centre():
+    crop = np.stack([perspective_crop([560.0, 150, 960, 420], WIDE_CAMERA, size=256, side=side) for side in (0, 1)])
+    points = np.random.default_rng(3).uniform(0, 256, (2, 200, 2))
+    plain = np.asarray(apply_homography(crop, points))
+    moved, found = points_from_crops(crop, points, 256)
+    assert 0.05 < found.mean() < 0.99 and not found[np.isnan(plain).any(axis=-1)].any()
+    np.testing.assert_array_equal(moved[found], plain[found])
+    assert np.isfinite(moved).all() and (moved[~found, 0] > 960).all()  # that is where the crop leaves the picture
+    for i in range(2):
+        back = np.asarray(apply_homography(np.linalg.inv(crop[i]), moved[i])) - 128
+        way = points[i] - 128
+        np.testing.assert_allclose(back[:, 0] * way[:, 1], back[:, 1] * way[:, 0], atol=1e-6)
+        shares = np.linalg.norm(back, axis=-1) / np.linalg.norm(way, axis=-1)
+        assert ((shares[~found[i]] > 0) & (shares[~found[i]] < 1)).all()
+    square = np.stack([square_crop(BOX, size=256, side=side) for side in (0, 1)])
+    moved, found = points_from_crops(square, points, 256)
+    assert found.all()
+    np.testing.assert_array_equal(moved, apply_homography(square, points))
 
 
 def test_points_behind_the_camera_have_no_place(to):

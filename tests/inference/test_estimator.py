@@ -7,9 +7,11 @@ import pytest
 from tests.oracles import UNUSED, Oracle, drawn_hands, full_truth, hand_masks, make_card, true_boxes
 
 from twohands.errors import InputError
+from twohands.evaluation.predictions import predict
 from twohands.geometry.boxes import apply_homography
 from twohands.geometry.camera import unproject
 from twohands.geometry.canonical import canonical_from_camera
+from twohands.geometry.heatmaps import encode_heatmaps
 from twohands.geometry.rotation import rotation_about_z
 from twohands.geometry.segmentation import HandBoxes, network_input
 from twohands.inference.engine import Networks
@@ -17,7 +19,7 @@ from twohands.inference.estimator import NO_TRUTH, HandEstimator, StageTruth
 from twohands.inference.looks import Look, joint_boxes
 from twohands.inference.range_prior import likely_ranges
 from twohands.skeleton import LEFT, RIGHT, ROOT
-from twohands.types import HandPose, PinholeCamera
+from twohands.types import HandPose, HandSample, PinholeCamera
 
 HAND_LENGTH_M = 0.1
 
@@ -412,6 +414,95 @@ def test_uncertain_ranges_become_likely_ones_and_the_hands_move_along_their_line
     assert oracle.estimator.estimate(sample.image, sample.camera, HAND_LENGTH_M, known).left.range_m == pytest.approx(
         plain.left.range_m, abs=1e-3
     )
+
+
+def one_hand(columns, far_joint=None):
+    """Networks that see a left hand in these columns of a picture of 240x135 and its joints in the middle of every
+    crop, but for one, which they see at the crop's right end."""
+
+    def hand_seg_net(batch):
+        inside = np.isin(np.arange(240), np.arange(*columns))
+        logits = np.broadcast_to(np.where(inside, 6.0, -6.0), (1, 1, 135, 240))
+        return np.concatenate([-logits, logits, 0 * logits - 9], 1), np.concatenate([logits, 0 * logits - 9], axis=1)
+
+    cells = np.stack([9 + 10 * np.linspace(0, 1, 21), 16 + 4 * np.cos(np.arange(21))], axis=-1)
+    if far_joint is not None:
+        cells[far_joint] = 31, 16
+    maps = np.asarray(encode_heatmaps(8 * cells, crop_size=256), np.float32)
+    canonical = np.concatenate([(cells - cells[ROOT]) / 6, np.zeros((21, 1))], axis=1)
+    return Networks(
+        hand_seg_net,
+        lambda batch: (np.stack([maps] * len(batch)), np.full(len(batch), 9.0)),
+        lambda maps: np.stack([canonical] * len(maps)).astype(np.float32),
+    )
+
+
+PICTURE = np.full((135, 240, 3), 90, np.uint8)
+
+
+@pytest.mark.parametrize("decode", ["subpixel", "softargmax"])
+@pytest.mark.parametrize("rolls_deg", [(), (10.0, -10.0)])
+def test_a_joint_seen_behind_a_wide_camera_leaves_finite_numbers_everywhere(decode, rolls_deg):
+    """The crop of a hand at the edge reaches beyond 90 degrees; one bad joint must not spoil the hand, nor a run."""
+    camera = PinholeCamera.from_fov(140, 240, 135)
+    card = make_card(heatmap_decode=decode, rolls_deg=rolls_deg)
+    estimator = HandEstimator(one_hand((140, 240), far_joint=8), card)
+    pose = estimator.estimate(PICTURE, camera)
+    hand = pose.left
+    assert hand.present and not pose.right.present
+    for values in (hand.joints_px, hand.joint_scores, hand.canonical, hand.box_px):
+        assert np.isfinite(values).all()
+    assert hand.valid and np.isfinite(hand.joints_m).all() and hand.range_m > 0
+    assert hand.joint_scores[8] < 0.1 and hand.joint_scores[:8].min() > 0.5
+    assert hand.joints_px[8, 0] > 240
+    plain = HandEstimator(one_hand((140, 240)), card).estimate(PICTURE, camera).left
+    if not rolls_deg:  # which look at the box of all joints
+        np.testing.assert_array_equal(np.delete(hand.joints_px, 8, 0), np.delete(plain.joints_px, 8, 0))
+    absent = np.full((2, 21, 3), np.nan)
+    sample = HandSample(PICTURE, camera, np.zeros(2, bool), absent[..., :2], absent, np.zeros((2, 21), bool))
+    found = predict([sample], lambda s: estimator.estimate(s.image, s.camera), dataset="", weights="", settings={})
+    np.testing.assert_array_equal(found.joints_px[0, LEFT], hand.joints_px)
+
+
+def test_a_hand_is_valid_only_where_its_joints_are_finite():
+    estimator = HandEstimator(one_hand((80, 140)), make_card())
+    camera = PinholeCamera.ego3dhands(240, 135)
+    assert estimator.estimate(PICTURE, camera).left.valid
+    read_out = estimator.read_out
+
+    def one_unknown(*given):
+        joints_px, scores = read_out(*given)
+        scores[0, 4] = np.nan
+        return joints_px, scores
+
+    estimator.read_out = one_unknown
+    hand = estimator.estimate(PICTURE, camera).left
+    assert hand.valid is False and hand.joints_m is None and hand.range_m is None and hand.joints_px is not None
+
+
+def test_a_root_beyond_the_lens_model_keeps_its_canonical_pose():
+    """Nothing is unprojected there, so there is no range; the looks of rolled cameras take the pinhole's rays."""
+    camera = dataclasses.replace(PinholeCamera.from_fov(100, 240, 135), distortion=(-1.2, 0, 0, 0))
+    hands = []
+    for rolls_deg in ((), (10.0, -10.0)):
+        estimator = HandEstimator(one_hand((180, 230)), make_card(rolls_deg=rolls_deg))
+        hands.append(estimator.estimate(PICTURE, camera).left)
+        assert np.isnan(unproject(hands[-1].joints_px[ROOT], camera)).any() and hands[-1].valid is False
+    assert np.isfinite(hands[1].canonical).all()
+    assert 0 < np.abs(hands[1].canonical - hands[0].canonical).max() < 0.5
+
+
+@pytest.mark.parametrize("rolls_deg", [(), (10.0, -10.0)])
+def test_an_estimated_box_of_which_there_is_no_crop_is_no_error_and_a_true_one_is(rolls_deg):
+    camera = PinholeCamera.from_fov(170, 240, 135)
+    estimator = HandEstimator(one_hand((0, 200)), make_card(rolls_deg=rolls_deg))
+    box_px = estimator.segment(PICTURE)[1].boxes_px
+    with pytest.raises(InputError, match="half space"):
+        estimator.crop(PICTURE, np.zeros((135, 240), np.uint8), box_px[LEFT], LEFT, camera)
+    pose = estimator.estimate(PICTURE, camera)
+    assert pose.left.present and np.isfinite(pose.left.joints_px).all() and not pose.right.present
+    with pytest.raises(InputError, match="half space"):
+        estimator.estimate(PICTURE, camera, truth=StageTruth(boxes_px=box_px))
 
 
 def test_canonical_truth_is_that_of_the_real_hand():

@@ -12,10 +12,11 @@ from twohands.evaluation.completion import hand_lengths_m
 from twohands.evaluation.predictions import predict
 from twohands.evaluation.summary import budget_costs, budget_results
 from twohands.inference.budget import STUDIES, error_budget, solved_again, studies_without_masks
-from twohands.inference.estimator import HandEstimator
+from twohands.inference.estimator import HandEstimator, StageTruth
 from twohands.inference.ground_truth import STAGES, HeatmapTargets, TruthfulEstimator, stage_truth, true_heatmaps
 from twohands.inference.read_out import read_joints
 from twohands.skeleton import LEFT, RIGHT
+from twohands.types import HandSample
 
 
 def test_stage_truth_takes_only_what_is_named() -> None:
@@ -87,6 +88,31 @@ def test_true_heatmaps_belong_to_the_pipelines_crops() -> None:
         np.testing.assert_allclose(hand.joints_px, sample.joints_px[side], atol=0.2)
 
 
+@pytest.mark.parametrize("decode", ["subpixel", "softargmax"])
+def test_what_partly_labelled_hands_do_not_tell_is_estimated(decode: str) -> None:
+    """One joint of the left hand has no label, as in InterHand2.6M; nor does the whole right hand."""
+    sample = drawn_hands(2)
+    joints_px = np.array(sample.joints_px)
+    joints_px[LEFT, 20], joints_px[RIGHT] = np.nan, np.nan
+    known = np.isfinite(joints_px).all(axis=-1)
+    oracle = Oracle(sample, make_card(heatmap_decode=decode), z_heatmaps=False)
+    scores = oracle.estimator.estimate(sample.image, sample.camera)
+    pose = oracle.estimator.estimate(sample.image, sample.camera, truth=StageTruth(joints_px=joints_px))
+    for side, hand in enumerate(pose.hands):
+        assert hand.valid and hand.joints_px is not None and hand.joint_scores is not None
+        np.testing.assert_array_equal(hand.joints_px[known[side]], joints_px[side, known[side]])
+        np.testing.assert_allclose(hand.joints_px, sample.joints_px[side], atol=0.3)
+        estimated = scores.hands[side].joint_scores
+        np.testing.assert_array_equal(hand.joint_scores, np.where(known[side], 1.0, estimated))
+
+
+def test_a_budget_of_partly_labelled_hands() -> None:
+    budget = drawn_budget(unlabelled=20)
+    assert [row["study"] for row in budget["rows"]] == [study.key for study in STUDIES]
+    metrics = budget["rows"][0]["metrics"]["fitted"]
+    assert metrics["epe_2d_mean"] == pytest.approx(0, abs=1e-9)
+
+
 def test_no_cues_come_with_true_heatmaps() -> None:
     """PoseNet3D is given as many maps as it expects, those behind the joints' empty."""
     seen = []
@@ -101,14 +127,22 @@ def test_no_cues_come_with_true_heatmaps() -> None:
     assert seen[0].shape[1] == 25 and not seen[0][:, 21:].any() and seen[0][:, :21].any(axis=(2, 3)).all()
 
 
-def drawn_budget(count: int = 2, scale: float = 1.0):
-    """PoseNet2D always says the same; PoseNet3D knows the answer and scales it."""
-    samples = [replace(drawn_hands(seed), source=str(seed)) for seed in range(count)]
+def without_label(sample: HandSample, joint: int | None) -> HandSample:
+    """The sample without the labels of one joint of either hand."""
+    known = np.tile(np.arange(21) != joint, (2, 1))
+    joints_px, joints_m = (np.where(known[..., None], each, np.nan) for each in (sample.joints_px, sample.joints_m))
+    return replace(sample, joints_px=joints_px, joints_m=joints_m, valid=sample.valid & known)
+
+
+def drawn_budget(count: int = 2, scale: float = 1.0, unlabelled: int | None = None):
+    """PoseNet2D always says the same; PoseNet3D knows the answer and scales it; one joint may have no label."""
+    complete = [replace(drawn_hands(seed), source=str(seed)) for seed in range(count)]
+    samples = [without_label(sample, unlabelled) for sample in complete]
     maps = true_heatmaps(np.linspace(30, 98, 42).reshape(21, 2), np.zeros(21), 128, HeatmapTargets())
 
     def estimator_of(study):
         def estimate(sample):
-            oracle = Oracle(sample, make_card())
+            oracle = Oracle(complete[int(sample.source)], make_card())
             left_like = oracle.canonical * np.array([[[1, 1, 1]], [[-1, 1, 1]]])
             networks = replace(
                 oracle.estimator.networks,

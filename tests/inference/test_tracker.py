@@ -558,6 +558,20 @@ def test_frames_without_any_clock_are_refused():
         tracker.update(frame(hand_at(0.4)))
 
 
+@pytest.mark.parametrize("refused_at", [math.nan, math.inf, 0.0])
+@pytest.mark.parametrize("timed", [True, False])
+def test_a_refused_frame_is_as_if_it_had_not_come(refused_at, timed):
+    """Also one that comes with another clock."""
+    disturbed, plain = HandTracker(PARABOLA), HandTracker(PARABOLA)
+    radii = 0.4 + 0.03 * np.random.default_rng(15).standard_normal(12)
+    for i, radius in enumerate(radii):
+        pose = frame(hand_at(radius, valid=i != 8), index=i, time_s=i / FPS if timed else None)
+        if i == 8 and (timed or refused_at != 0):
+            with pytest.raises(InputError, match="frame time"):
+                disturbed.update(frame(hand_at(0.9), index=i, time_s=refused_at))
+        assert same_hand(disturbed.update(pose).left, plain.update(pose).left)
+
+
 def test_tracker_reset_is_a_new_tracker():
     radii = 0.4 + 0.03 * np.random.default_rng(14).standard_normal(12)
     used, new = HandTracker(PARABOLA), HandTracker(PARABOLA)

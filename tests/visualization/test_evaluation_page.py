@@ -57,6 +57,21 @@ def test_the_estimate_is_drawn_where_the_hand_is() -> None:
     assert np.ptp(joints, axis=0).max() > 50
 
 
+@pytest.mark.parametrize("side", [LEFT, RIGHT, None])
+def test_hands_without_labels_that_nobody_found_are_shown_as_the_whole_picture(side) -> None:
+    sample = SAMPLES[0]
+    unlabelled = replace(
+        sample,
+        joints_px=np.full((2, 21, 2), np.nan),
+        joints_m=np.full((2, 21, 3), np.nan),
+        valid=np.zeros((2, 21), bool),
+    )
+    nobody = TwoHandPose(HandPose(False), HandPose(False), sample.camera)
+    picture = case_picture(Case(unlabelled, nobody, "", side))
+    empty = replace(unlabelled, present=np.array([False, False]))
+    np.testing.assert_array_equal(picture, case_picture(Case(empty, nobody, "", None)))
+
+
 def test_page_and_markdown_with_two_systems() -> None:
     predictions = predictions_for(system)
     blind = predictions_for(lambda sample: TwoHandPose(HandPose(False), HandPose(False), sample.camera))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
 from twohands.cli.output import check_output_folder
+from twohands.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -24,7 +26,9 @@ def run(args: BakeArgs) -> int:
     """Bake and print a summary."""
     from twohands.synth.bake import bake
 
-    check_output_folder(args.out.parent, overwrite=not args.out.exists())
+    if os.path.lexists(args.out):
+        raise InputError(f"{args.out}: exists already; choose another --out")
+    check_output_folder(args.out.parent, overwrite=True)
     for name, value in bake(args.out, count=args.count, seed=args.seed).items():
         print(f"{name}: {value}")
     return 0

@@ -90,6 +90,10 @@ def run(args: TrackArgs) -> int:
     files = list_images(args.input) if folder else [args.input]
     pictures = _readable(files, camera, args.fov) if folder else [_open(args.input, 0, camera, args.fov)]
     out = args.out or Path("out") / "track" / (args.input.resolve().name if folder else args.input.stem)
+    if folder and os.path.isdir(out) and os.path.samefile(out, args.input):
+        raise InputError(
+            f"output {out} is the folder of the images, some of which it might replace; choose another --out"
+        )
     check_output_folder(out, overwrite=args.overwrite)
     estimator = HandEstimator.from_preset(args.weights)
     _say_assumptions(args)

@@ -7,7 +7,8 @@ it is one multiplication.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from dataclasses import replace
+from typing import Any, Final, Literal
 
 import cv2
 import numpy as np
@@ -19,6 +20,10 @@ from twohands.geometry.camera import intrinsic_matrix, unproject
 from twohands.geometry.rotation import centring_angles, rotation_from_angles
 from twohands.skeleton import LEFT, RIGHT
 from twohands.types import Array, PinholeCamera
+
+_LEAST_DEPTH: Final = 0.1
+"""Of what is estimated in a crop of a wide camera nothing lies nearer to the plane of the pinhole than this share of
+the distance from it to the crop's centre: beyond that plane there are no pixels."""
 
 
 def box_from_points(points_px: Array, valid: Array | None = None) -> Array:
@@ -125,18 +130,40 @@ def perspective_crop(
 
     Source: SPEC 2 (crop), option of ours.
     """
-    u0, v0, u1, v1 = _checked_box(box_px)
+    box = _checked_box(box_px)
     intrinsics = intrinsic_matrix(camera)
-    pinhole = PinholeCamera(camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
-    rays = unproject(np.array([[(u0 + u1) / 2, (v0 + v1) / 2], [u0, v0], [u1, v0], [u0, v1], [u1, v1]]), pinhole)
+    rays = _box_rays(box, camera)
     rotation = rotation_from_angles(*centring_angles(rays[0]))
     corners = rays[1:] @ rotation.T  # (4, 3) centred frame
     if corners[:, 2].min() <= 0:
-        raise InputError(f"box {(u0, v0, u1, v1)} spans more than the half space before the camera; check the camera")
+        raise InputError(f"box {box} spans more than the half space before the camera; check the camera")
     extent = 2 * np.abs(corners[:, :2] / corners[:, 2:]).max()
     focal = size / (margin * extent)
     crop_intrinsics = np.array([[focal, 0, size / 2], [0, focal, size / 2], [0, 0, 1]], dtype=np.float64)
     return intrinsics @ rotation.T @ np.linalg.inv(crop_intrinsics) @ _mirror(side, size)
+
+
+def box_before_camera(box_px: Array, camera: PinholeCamera) -> NDArray[np.float64]:
+    """An estimated box of which there is a `perspective_crop`.
+
+    Args:
+        box_px: (4,) u0, v0, u1, v1 in pixels.
+        camera: intrinsics; lens distortion is ignored.
+
+    Returns:
+        (4,) the same box; one with a corner nearly 90 degrees or more away from its centre is shrunk about the centre.
+
+    Raises:
+        InputError: the box is not finite or has no extent.
+    """
+    u0, v0, u1, v1 = box = _checked_box(box_px)
+    rays = _box_rays(box, camera)
+    nearest = (rays[1:] @ rays[0]).min() / (rays[0] @ rays[0])  # a corner's depth; linear in how far out it is
+    if nearest >= _LEAST_DEPTH:
+        return np.array(box)
+    share = (1 - _LEAST_DEPTH) / (1 - nearest)
+    middle, half = np.array([u0 + u1, v0 + v1]) / 2, np.array([u1 - u0, v1 - v0]) / 2
+    return np.concatenate([middle - share * half, middle + share * half])
 
 
 def image_from_rolled(camera: PinholeCamera, rolled_from_camera: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -190,6 +217,29 @@ def apply_homography(homography: Array, points: Array) -> Array:
     in_front = mapped[..., 2:] > 0
     depth = xp.where(in_front, mapped[..., 2:], xp.ones_like(mapped[..., 2:]))
     return xp.where(in_front, mapped[..., :2] / depth, xp.nan)
+
+
+def points_from_crops(
+    image_from_crop: NDArray[np.float64], points: NDArray[np.float64], size: int
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Points found in crops, as pixels of the picture, all of them finite.
+
+    Args:
+        image_from_crop: (B, 3, 3), of `square_crop` or `perspective_crop`, also behind `image_from_rolled`.
+        points: (B, N, 2) pixels of the crops.
+        size: side of the crops in their own pixels.
+
+    Returns:
+        (B, N, 2) pixels of the picture, and (B, N) bool, whether that is where they were found: the crop of a wide
+        camera reaches beyond what has a pixel, and a point there is moved towards the crop's centre until it has one.
+    """
+    centre = np.full(2, size / 2)
+    depth = np.concatenate([points, np.ones_like(points[..., :1])], axis=-1) @ image_from_crop[:, 2, :, None]
+    depth = depth / (image_from_crop[:, 2] @ [*centre, 1.0])[:, None, None]  # (B, N, 1), 1 at the centre
+    found = depth >= _LEAST_DEPTH
+    share = (1 - _LEAST_DEPTH) / np.where(found, 1.0, 1 - depth)
+    points = np.where(found, points, centre + share * (points - centre))
+    return np.asarray(apply_homography(image_from_crop, points)), found[..., 0]
 
 
 def warp_image(
@@ -250,6 +300,13 @@ def _blocks(low: float, high: float, block: int, whole: int) -> tuple[int, int]:
     block more on either side; at least one pixel."""
     first = int(min(max(low - block, 0), whole - 1)) // block * block
     return first, int(min(max(high + block, first + 1), whole))
+
+
+def _box_rays(box_px: tuple[float, float, float, float], camera: PinholeCamera) -> NDArray[np.float64]:
+    """(5, 3) rays through a box's centre and its four corners, camera frame, scaled to z = 1, without distortion."""
+    u0, v0, u1, v1 = box_px
+    points = np.array([[(u0 + u1) / 2, (v0 + v1) / 2], [u0, v0], [u1, v0], [u0, v1], [u1, v1]])
+    return np.asarray(unproject(points, replace(camera, distortion=())))
 
 
 def _checked_box(box_px: Array) -> tuple[float, float, float, float]:

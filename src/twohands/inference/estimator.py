@@ -16,10 +16,11 @@ import numpy as np
 
 from twohands.errors import InputError
 from twohands.geometry.boxes import (
-    apply_homography,
+    box_before_camera,
     box_iou,
     image_from_rolled,
     perspective_crop,
+    points_from_crops,
     rolled_box,
     square_crop,
 )
@@ -90,7 +91,7 @@ class StageTruth:
         masks: (H, W) uint8, 0 background, 1 left, 2 right.
         boxes_px: (2, 4) tight boxes in pixels; NaN for an absent hand.
         present: (2,) bool. A present hand still needs a box, true or estimated, to be found.
-        joints_px: (2, 21, 2) pixels.
+        joints_px: (2, 21, 2) pixels; NaN for a joint that is left to the estimate.
         heatmaps: (2, 21, M, M) maps of the crops that the pipeline cuts from its boxes; no cues come with them.
         canonical: (2, 21, 3) unitless canonical joints of the real, unmirrored hands.
     """
@@ -188,7 +189,8 @@ class HandEstimator:
                 if self.card.range_errors is not None:
                     radius_m = likely_ranges(radius_m, look.joint_scores, self.card.range_errors)
                 joints_m = camera_from_canonical(canonical, lengths_m, radius_m, pose.theta, pose.phi)
-                pose = replace(pose, joints_m=joints_m, radius_m=radius_m)
+                finite = np.isfinite(joints_m).all(axis=(1, 2))
+                pose = replace(pose, joints_m=joints_m, radius_m=radius_m, valid=pose.valid & finite)
             for i, side in enumerate(sides):
                 hands[side] = _hand_pose(boxes, look, canonical[i], pose, i)
         return TwoHandPose(hands[0], hands[1], camera, certain_masks(masks), index, time_s)
@@ -306,9 +308,9 @@ class HandEstimator:
         camera: PinholeCamera,
         truth: StageTruth = NO_TRUTH,
     ) -> Look:
-        """Crop, PoseNet2D and read-out of the given sides' boxes, boxes_px (2, 4)."""
-        crops = [self.crop(image, masks, boxes_px[side], int(side), camera) for side in sides]
-        return self.look_at(crops, truth)
+        """Crop, PoseNet2D and read-out of the given sides' boxes, boxes_px (2, 4), true or estimated ones."""
+        crop = self.crop_estimated if truth.boxes_px is None else self.crop
+        return self.look_at([crop(image, masks, boxes_px[side], int(side), camera) for side in sides], truth)
 
     def look_at(self, crops: list[HandCrop], truth: StageTruth = NO_TRUTH) -> Look:
         """PoseNet2D and read-out of crops."""
@@ -348,7 +350,7 @@ class HandEstimator:
         distance = palms_apart(look.joints_px, boxes.boxes_px) if len(look.sides) == 2 else math.inf
         if distance < ONE_PLACE:
             either = [as_one_hand(masks, boxes.boxes_px, side) for side in (LEFT, RIGHT)]
-            alone = self.look_at([self.crop(image, *one, side, camera) for side, one in enumerate(either)])
+            alone = self.look_at([self.crop_estimated(image, *one, side, camera) for side, one in enumerate(either)])
             whole = alone.hand_logits
         source, answer = assign_sides(
             boxes.scores, own, turned, whole=whole, apart=distance >= APART, remembered=remembered
@@ -380,15 +382,19 @@ class HandEstimator:
         if not len(rows):
             return look, canonical
         first = look.rows(rows)
-        first_rays = unproject(first.joints_px[:, ROOT], camera)
+        first_rays = unproject(first.joints_px[:, ROOT], camera)  # beside the picture a lens may have none
+        pinhole_rays = unproject(first.joints_px[:, ROOT], replace(camera, distortion=()))
+        first_rays = np.where(np.isfinite(first_rays), first_rays, pinhole_rays)
         looks, poses = [first], [canonical[rows]]
         for degrees in self.card.rolls_deg:
             roll = rotation_about_z(math.radians(degrees))
             unrolled = image_from_rolled(camera, roll)
             hands = zip(rolled_box(first.joints_px, image.shape[:2], unrolled), first.sides, strict=True)
-            again = self.look_at([self.crop(image, masks, box, int(side), camera, unrolled) for box, side in hands])
+            again = self.look_at(
+                [self.crop_estimated(image, masks, box, int(side), camera, unrolled) for box, side in hands]
+            )
             rays = unproject(again.joints_px[:, ROOT], camera)
-            rays = np.where(np.isfinite(rays), rays, first_rays)  # beside the picture a lens may have none
+            rays = np.where(np.isfinite(rays), rays, first_rays)
             looks.append(again)
             poses.append(unrolled_canonical(self.lift(again), rays, roll))
         joints_px, joint_scores, canonical = look.joints_px.copy(), look.joint_scores.copy(), canonical.copy()
@@ -422,6 +428,20 @@ class HandEstimator:
         composed = compose_hand_input(image, masks, image_from_crop, side, size, self.card.background)
         return HandCrop(composed, image_from_crop, side, mirrored=side == RIGHT)
 
+    def crop_estimated(
+        self,
+        image: np.ndarray,
+        masks: np.ndarray,
+        box_px: np.ndarray,
+        side: int,
+        camera: PinholeCamera,
+        image_from_boxed: np.ndarray | None = None,
+    ) -> HandCrop:
+        """`crop` of an estimated box, which may be larger than a wide camera's crop can show (`box_before_camera`)."""
+        if self.card.crop_kind == "perspective":
+            box_px = box_before_camera(box_px, camera)
+        return self.crop(image, masks, box_px, side, camera, image_from_boxed)
+
     def locate(self, crops: list[HandCrop], truth: StageTruth = NO_TRUTH) -> tuple[np.ndarray, np.ndarray]:
         """Stage 3, PoseNet2D: both hands in one batch -> heatmaps (B, 21 + cues, M, M), log-odds (B,) that they are
         hands."""
@@ -433,13 +453,17 @@ class HandEstimator:
     def read_out(
         self, heatmaps: np.ndarray, crops: list[HandCrop], truth: StageTruth = NO_TRUTH
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Heatmaps -> joints (B, 21, 2) in pixels of the picture, un-mirrored, and scores (B, 21), 1 for labels."""
+        """Heatmaps -> joints (B, 21, 2) in pixels of the picture, un-mirrored, and scores (B, 21): 1 for labels, which
+        replace what they know; 0 where the crop of a wide camera shows what has no pixel (`points_from_crops`)."""
         cells, scores = read_joints(heatmaps[:, :N_JOINTS], self.card.heatmap_decode)
         crop_px = cells * (self.card.crop_size / heatmaps.shape[-1])
-        joints_px = apply_homography(np.stack([crop.image_from_crop for crop in crops]), crop_px)
+        image_from_crop = np.stack([crop.image_from_crop for crop in crops])
+        joints_px, found = points_from_crops(image_from_crop, crop_px, self.card.crop_size)
+        scores = np.where(found, scores, 0.0)
         if truth.joints_px is not None:
-            joints_px = truth.joints_px[[crop.side for crop in crops]]
-            scores = np.ones_like(scores)
+            true_px = truth.joints_px[[crop.side for crop in crops]]
+            known = np.asarray(np.isfinite(true_px).all(axis=-1))
+            joints_px, scores = np.where(known[..., None], true_px, joints_px), np.where(known, 1.0, scores)
         return joints_px, scores
 
     def lift(self, look: Look, truth: StageTruth = NO_TRUTH) -> np.ndarray:

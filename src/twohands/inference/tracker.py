@@ -314,10 +314,11 @@ class HandTracker:
             InputError: neither time nor index advances; the frame is then as if it had not come.
         """
         timed = pose.time_s is not None
+        time = float(pose.index if pose.time_s is None else pose.time_s)
+        clock = self._filters[0] if timed == self._timed else RangeFilter()
+        clock.check_time(time)
         if timed != self._timed:
             self._start(timed)
-        time = float(pose.index if pose.time_s is None else pose.time_s)
-        self._filters[0].check_time(time)
         left, right = (self._update(side, hand, time, pose.camera) for side, hand in enumerate(pose.hands))
         return replace(pose, left=left, right=right)
 

@@ -269,8 +269,10 @@ def case_picture(case: Case) -> np.ndarray:
         h.joints_px for side, h in enumerate(pose.hands) if h.joints_px is not None and case.side in (None, side)
     ]
     height, width = sample.image.shape[:2]
-    joints = np.concatenate(points) if points else np.array([[0.0, 0.0], [width, height]])
+    joints = np.concatenate([*points, np.empty((0, 2))])
     joints = np.clip(joints[np.isfinite(joints).all(axis=1)], 0, [width, height])
+    if not len(joints):
+        joints = np.array([[0.0, 0.0], [width, height]])
     low, high = joints.min(axis=0), joints.max(axis=0)
     side_px = float(np.clip(1.35 * (high - low).max(), min(height, width) / 4, min(height, width)))
     corner = np.clip((low + high - side_px) / 2, 0, np.array([width, height]) - side_px)
