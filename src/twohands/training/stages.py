@@ -30,6 +30,7 @@ from twohands.skeleton import N_JOINTS, ROOT
 from twohands.training import losses
 from twohands.training.batches import Batch
 from twohands.training.config import TrainConfig
+from twohands.training.parallel import mean_over_processes
 
 Losses = dict[str, Tensor]
 CUELESS = 0.1
@@ -131,10 +132,10 @@ def judge_losses(hand_logit: Tensor | None, batch: Batch, config: TrainConfig) -
 
 
 def only_hands(batch: Batch) -> tuple[Tensor, Batch]:
-    """Which crops (N,) show hands, and the batch of these: nothing else has joints to learn from. If none does, all:
-    without any there are no batch statistics."""
+    """Which crops (N,) show hands, and the batch of these: nothing else has joints to learn from. If none does,
+    in any process, all: without any there are no batch statistics. All processes must call this."""
     hands = batch["hand"] > 0
-    if not hands.any():
+    if mean_over_processes(hands.sum()) == 0:
         hands = torch.ones_like(hands)
     return hands, {name: values[hands] for name, values in batch.items()}
 
