@@ -114,9 +114,7 @@ def row_config(row: Row, data: str, further: tuple[str, ...] = ()) -> TrainConfi
         data=dataclasses.replace(config.data, source=data),
         networks=dataclasses.replace(config.networks, pose_net_2d=row.network),
     )
-    for setting in (*SMALL, *row.settings, *further):
-        config = with_override(config, setting)
-    return config
+    return with_override(config, *SMALL, *row.settings, *further)
 
 
 def train_row(row: Row, config: TrainConfig, out: Path) -> TrainResult:

@@ -348,9 +348,7 @@ def configs(options: argparse.Namespace) -> tuple[TrainConfig, TrainConfig]:
         f"data.segmentation={options.weights / 'fast' / 'hand_seg_net.onnx'}",
     )
     pose, segmentation = recipe("ours", "pose_net_3d"), recipe("ours", "hand_seg_net")
-    for setting in (*SETTINGS, *further):
-        pose, segmentation = with_override(pose, setting), with_override(segmentation, setting)
-    return pose, segmentation
+    return with_override(pose, *SETTINGS, *further), with_override(segmentation, *SETTINGS, *further)
 
 
 def burst(options: argparse.Namespace) -> None:

@@ -105,7 +105,7 @@ def changed(config: TrainConfig, args: TrainArgs) -> TrainConfig:
     """The run with everything that the arguments change.
 
     Raises:
-        InputError: an unknown setting.
+        InputError: an unknown setting, or settings that do not fit together.
     """
     from twohands.training.config import with_override
 
@@ -126,9 +126,7 @@ def changed(config: TrainConfig, args: TrainArgs) -> TrainConfig:
     }
     changes = {name: value for name, value in data.items() if value is not None}
     config = dataclasses.replace(config, data=dataclasses.replace(config.data, **changes))
-    for assignment in args.set:
-        config = with_override(config, assignment)
-    return config
+    return with_override(config, *args.set)
 
 
 def open_segmentation(checkpoint: Path) -> Segment:
