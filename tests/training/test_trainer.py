@@ -168,6 +168,20 @@ def test_resuming_with_other_networks_is_refused(tmp_path):
         train(tiny_run("pose_net_2d", iterations=2), SAMPLES, [], tmp_path / "run", resume=True)
 
 
+def test_resuming_with_what_a_run_did_not_keep_is_refused(tmp_path):
+    """Named cases: an error inside the first step, and a message about other networks."""
+    along = tiny_run("pose_net_3d", iterations=2)
+    train(along, SAMPLES, [], tmp_path / "along", weights=pose_weights(tmp_path), stop_after=1)
+    with pytest.raises(InputError, match=r"trained PoseNet2D along: optim\.along_rate cannot be 0"):
+        train(with_override(along, "optim.along_rate=0"), SAMPLES, [], tmp_path / "along", resume=True)
+    assert train(along, SAMPLES, [], tmp_path / "along", resume=True).iterations == 2
+    plain_run = with_override(tiny_run("hand_seg_net", iterations=2), "optim.ema=0")
+    train(plain_run, SAMPLES, [], tmp_path / "plain", stop_after=1)
+    with pytest.raises(InputError, match="a run without averaged weights"):
+        train(with_override(plain_run, "optim.ema=0.9"), SAMPLES, [], tmp_path / "plain", resume=True)
+    assert train(plain_run, SAMPLES, [], tmp_path / "plain", resume=True).iterations == 2
+
+
 def test_log_config_and_note(tmp_path):
     lines: list[str] = []
     config = tiny_run("pose_net_2d", iterations=4, log_every=2, validate_every=2, seed=3)
