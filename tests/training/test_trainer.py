@@ -243,6 +243,19 @@ def test_gradients_reach_pose_net_2d_through_the_maps(tmp_path):
         assert max(float(p.grad.abs().max()) for p in stage.net_2d.net.parameters()) > 0
 
 
+@pytest.mark.parametrize("along", [0.0, 1.0])
+def test_everything_that_learns_gets_a_gradient(along, tmp_path):
+    """Named case: several processes waited for those of a judge without a loss, and ended in an error."""
+    config = with_override(tiny_run("pose_net_3d", iterations=1), f"loss.heatmap_along={along}")
+    stage = build_stage(config, pose_weights(tmp_path)).train()
+    sum(stage(BatchDataset(SAMPLES, config)[0], 0).values()).backward()
+    learning = {name for name, parameter in stage.named_parameters() if parameter.requires_grad}
+    assert learning == {name for name, parameter in stage.named_parameters() if parameter.grad is not None}
+    assert any("judge" in name for name in learning) == (along > 0)
+    result = train(config, SAMPLES, [], tmp_path / "run", weights=pose_weights(tmp_path))
+    assert result.iterations == 1
+
+
 def test_frozen_statistics_stay_while_all_weights_learn(tmp_path):
     """And a run that was stopped goes on as if it had not been."""
     first = tiny_run("pose_net_3d", iterations=2)
