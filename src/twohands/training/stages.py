@@ -351,9 +351,7 @@ def build_stage(config: TrainConfig, weights: Sequence[Path] = (), *, require_we
         stage = Pose2DStage(config)
         known = {"pose_net_2d": stage.net}
     else:
-        given, taken = config.networks.pose_net_2d.cues, config.networks.pose_net_3d.cues
-        if given != taken:
-            raise InputError(f"pose_net_2d gives {given} cues, but pose_net_3d takes {taken}")
+        config.networks.check_cues()
         stage = Pose3DStage(config, PoseNet2D(config.networks.pose_net_2d))
         known = {"pose_net_2d": stage.net_2d, "pose_net_3d": stage.net_3d}
     filled: set[str] = set()
