@@ -105,9 +105,9 @@ def changed(config: TrainConfig, args: TrainArgs) -> TrainConfig:
     """The run with everything that the arguments change.
 
     Raises:
-        InputError: an unknown setting, or settings that do not fit together.
+        InputError: an unknown setting, settings that do not fit together, or a folder with a comma in its path.
     """
-    from twohands.training.config import with_override
+    from twohands.training.config import folder_list, with_override
 
     given = {
         "iterations": args.iterations,
@@ -117,11 +117,10 @@ def changed(config: TrainConfig, args: TrainArgs) -> TrainConfig:
         "threads": args.threads,
     }
     config = dataclasses.replace(config, **{name: value for name, value in given.items() if value is not None})
-    backgrounds = ",".join(map(str, args.backgrounds))
     data = {
-        "source": ",".join(args.data) or None,
+        "source": folder_list(args.data) or None,
         "workers": args.workers,
-        "backgrounds": backgrounds or None,
+        "backgrounds": folder_list(args.backgrounds) or None,
         "segmentation": str(args.segmentation) if args.segmentation else None,
     }
     changes = {name: value for name, value in data.items() if value is not None}

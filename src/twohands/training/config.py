@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from twohands.datasets.pose_targets import CropConfig
@@ -27,6 +28,19 @@ def _check_choices(config: Any) -> None:
     for name, hint in get_type_hints(type(config)).items():
         if get_origin(hint) is Literal and getattr(config, name) not in get_args(hint):
             raise InputError(f"{name} must be one of {', '.join(get_args(hint))}, got '{getattr(config, name)}'")
+
+
+def folder_list(folders: Iterable[str | Path]) -> str:
+    """Folders as `DataConfig` has them, separated by commas.
+
+    Raises:
+        InputError: one of them has a comma in its name.
+    """
+    names = [str(folder) for folder in folders]
+    for name in names:
+        if "," in name:
+            raise InputError(f"'{name}': training cannot use a folder with a comma in its path; rename it")
+    return ",".join(names)
 
 
 @dataclass(frozen=True)
