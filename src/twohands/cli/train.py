@@ -48,7 +48,7 @@ class TrainArgs:
     """Folders of training pictures (instances, tar shards or frames), or "synthetic" to render them on the fly; needed
     unless resuming."""
     backgrounds: tuple[Path, ...] = ()
-    """Folders of photographs to put behind rendered hands, beside procedural backgrounds."""
+    """Folders of photographs to put behind the hands of frames and of "synthetic", beside procedural backgrounds."""
     recipe: Literal["ours", "paper"] = "ours"
     """ours: slim networks, half an hour each on two cores; paper: networks, losses and schedule of the publication."""
     weights: tuple[Path, ...] = ()

@@ -82,7 +82,9 @@ def fine_tuning_run(
         config,
         networks=networks,
         max_minutes=minutes * SHARES[stage],
-        data=dataclasses.replace(config.data, source=folder_list([frames]), segmentation=str(segmentation) if pose else ""),
+        data=dataclasses.replace(
+            config.data, source=folder_list([frames]), segmentation=str(segmentation) if pose else ""
+        ),
         augment=dataclasses.replace(config.augment, zoom=dataclasses.replace(config.augment.zoom, cut=0.0)),
         optim=dataclasses.replace(config.optim, learning_rate=LEARNING_RATE),
     )
