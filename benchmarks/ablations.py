@@ -35,7 +35,7 @@ from twohands.training.trainer import TrainResult, train
 SMALL = (
     *("max_minutes=0", "optim.optimizer=adamw", "optim.along_rate=0", "crop.background=0"),
     *("data.empty=0", "data.clutter=0", "data.remixed=0", "crop.roll=0", "augment.mirrored=0"),
-    *("networks.pose_net_3d.width=0.5", "networks.pose_net_3d.cues=0"),
+    *("networks.pose_net_3d.width=0.5", "networks.pose_net_3d.cues=0", "loss.place=0"),
 )
 """What all rows change in recipe `ours`."""
 SLIM_2D = dataclasses.replace(SLIM.pose_net_2d, width=0.5, judge=False, cues=0)
@@ -114,9 +114,7 @@ def row_config(row: Row, data: str, further: tuple[str, ...] = ()) -> TrainConfi
         data=dataclasses.replace(config.data, source=data),
         networks=dataclasses.replace(config.networks, pose_net_2d=row.network),
     )
-    for setting in (*SMALL, *row.settings, *further):
-        config = with_override(config, setting)
-    return config
+    return with_override(config, *SMALL, *row.settings, *further)
 
 
 def train_row(row: Row, config: TrainConfig, out: Path) -> TrainResult:

@@ -45,7 +45,7 @@ from twohands.training.batches import (
     segmentation_batch,
     with_border,
 )
-from twohands.training.config import TrainConfig, recipe, with_override
+from twohands.training.config import TrainConfig, folder_list, recipe, with_override
 from twohands.training.schedule import learning_rate, update_average
 from twohands.training.sources import open_source
 from twohands.training.trainer import Running, fresh_state, take_step, validate
@@ -343,14 +343,12 @@ def configs(options: argparse.Namespace) -> tuple[TrainConfig, TrainConfig]:
         f"iterations={END}",
         f"batch_images={PICTURES}",
         f"seed={options.seed}",
-        f"data.source={','.join(map(str, options.data))}",
-        f"data.backgrounds={','.join(map(str, options.backgrounds))}",
+        f"data.source={folder_list(options.data)}",
+        f"data.backgrounds={folder_list(options.backgrounds)}",
         f"data.segmentation={options.weights / 'fast' / 'hand_seg_net.onnx'}",
     )
     pose, segmentation = recipe("ours", "pose_net_3d"), recipe("ours", "hand_seg_net")
-    for setting in (*SETTINGS, *further):
-        pose, segmentation = with_override(pose, setting), with_override(segmentation, setting)
-    return pose, segmentation
+    return with_override(pose, *SETTINGS, *further), with_override(segmentation, *SETTINGS, *further)
 
 
 def burst(options: argparse.Namespace) -> None:

@@ -9,6 +9,7 @@ taken for the other one sooner. MINED is one more folder for `twohands train han
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -17,7 +18,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from twohands.cli.output import check_output_folder
 from twohands.datasets.hand_views import hand_box
+from twohands.errors import TwoHandsError
 from twohands.geometry.boxes import box_iou
 from twohands.inference.estimator import HandEstimator
 from twohands.skeleton import LEFT, RIGHT
@@ -25,7 +28,7 @@ from twohands.synth.backgrounds import Background, Backgrounds
 from twohands.synth.cache import FrameCache
 from twohands.synth.executors import LocalProcesses
 from twohands.training.batches import ONE_HAND_IOU
-from twohands.training.config import DataConfig
+from twohands.training.config import DataConfig, folder_list
 from twohands.training.sources import backgrounds_of
 from twohands.types import PinholeCamera
 
@@ -56,7 +59,7 @@ def opened(options: argparse.Namespace) -> Callable[[int], bool]:
     """What a process does with a number: look at a background, and write it if there is a hand to HandSegNet."""
     cv2.setNumThreads(1)
     estimator = HandEstimator.from_preset(options.weights, threads=1)
-    backgrounds = Kept(backgrounds_of(replace(SETTINGS, backgrounds=",".join(map(str, options.backgrounds)))))
+    backgrounds = Kept(backgrounds_of(replace(SETTINGS, backgrounds=folder_list(options.backgrounds))))
     frames = []
     for folder in options.data:
         cache = FrameCache(folder, backgrounds, variants=20)
@@ -88,7 +91,7 @@ def _mine(
     return found
 
 
-def main() -> None:
+def main() -> int:
     """Looks, and says how many were kept."""
     parser = argparse.ArgumentParser(description="Collects backgrounds that HandSegNet errs in.")
     parser.add_argument("--backgrounds", type=Path, nargs="*", default=[], help="folders of photographs and panoramas")
@@ -99,10 +102,18 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, required=True, help="a new folder")
     options = parser.parse_args()
-    options.out.mkdir(parents=True)
-    kept = sum(LocalProcesses(options.workers).run(partial(opened, options), range(options.count)))
+    try:
+        check_output_folder(options.out, overwrite=False)
+        processes = LocalProcesses(options.workers)
+        opened(options)  # what is wrong with a folder is better said here than by every process
+        options.out.mkdir(parents=True, exist_ok=True)
+        kept = sum(processes.run(partial(opened, options), range(options.count)))
+    except TwoHandsError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
     print(f"{kept} of {options.count} backgrounds in {options.out}")
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

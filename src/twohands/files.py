@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all."""
+"""Files that appear whole or not at all, as readable as any other."""
 
 from __future__ import annotations
 
@@ -24,3 +24,11 @@ def write_whole(path: Path, content: bytes) -> None:
     except OSError:
         partial.unlink(missing_ok=True)
         raise
+
+
+def let_others_read(path: Path) -> None:
+    """Give a file that was made private, as temporary ones are, the permissions of any other new file: what the
+    process's umask allows."""
+    mask = os.umask(0)
+    os.umask(mask)
+    os.chmod(path, 0o666 & ~mask)

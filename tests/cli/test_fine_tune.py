@@ -27,6 +27,7 @@ def camera(tmp_path):
         (["--resume"], "holds no fine-tuning to resume"),
         (["--set", "speed=3"], "unknown setting 'speed'"),
         (["--backgrounds", "no-such-folder"], "no-such-folder"),
+        (["--backgrounds", "my,rooms"], "with a comma in its path"),
     ],
 )
 def test_mistakes_are_one_line_and_leave_nothing(words, message, camera, tmp_path, capsys):
@@ -34,6 +35,14 @@ def test_mistakes_are_one_line_and_leave_nothing(words, message, camera, tmp_pat
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1
     assert not (tmp_path / "mine").exists()
+
+
+def test_an_output_folder_with_a_comma_is_refused_before_anything_is_rendered(camera, tmp_path, capsys):
+    """Named case: it was refused, as two folders that do not exist, when the frames had been rendered."""
+    assert main(["train", "--your-camera", camera, "--out", str(tmp_path / "my,weights")]) == 2
+    error = capsys.readouterr().err
+    assert "with a comma in its path" in error and error.count("\n") == 1
+    assert not (tmp_path / "my,weights").exists()
 
 
 def test_a_missing_camera_and_a_used_folder_are_refused(camera, tmp_path, capsys):

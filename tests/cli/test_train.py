@@ -75,6 +75,8 @@ def test_mistakes_are_one_line(tmp_path, capsys):
         ([], "expected a folder or 'synthetic'"),
         (["--resume"], "no training run to resume"),
         (["--data", "x", "--set", "speed=3"], "unknown setting 'speed'"),
+        (["--data", "x", "frames, new"], "'frames, new': training cannot use a folder with a comma in its path"),
+        (["--data", "x", "--backgrounds", "a,b"], "'a,b': training cannot use a folder with a comma in its path"),
     ]:
         assert main(["train", "hand_seg_net", "--out", str(tmp_path / "run"), *words]) == 2
         error = capsys.readouterr().err

@@ -14,6 +14,7 @@ from twohands.datasets.transforms import MaskConfig, PhotometricConfig
 from twohands.errors import InputError
 from twohands.geometry.boxes import apply_homography
 from twohands.geometry.part_labels import hand_classes
+from twohands.geometry.rotation import rotation_about_z
 from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
 
 PAPER_CROP = CropConfig()
@@ -145,7 +146,8 @@ def test_bad_crops_are_refused():
 @pytest.mark.parametrize("side", [LEFT, RIGHT])
 @pytest.mark.parametrize("found_by_network", [False, True])
 def test_a_rolled_crop_is_that_of_a_rolled_camera(crop, side, found_by_network, monkeypatch):
-    """Picture and labels of a camera rolled by 35 degrees give the same target as rolling the crop."""
+    """Picture and labels of a camera rolled by 35 degrees give the same target as rolling the crop. Named case: a crop
+    by HandSegNet's box was off the hand's centre there, even by a box without error."""
     original = sample(3)
     camera = original.camera
     angle = np.radians(35.0)
@@ -172,16 +174,28 @@ def test_a_rolled_crop_is_that_of_a_rolled_camera(crop, side, found_by_network, 
         boxes = np.stack([hand_box(original, side) for side in (LEFT, RIGHT)])
         found = Segmentation(hand_classes(original.labels), boxes)
     turned = target(original, side, 128, crop, predicted=found)
-    if found_by_network:  # its box is moved to where the true box's centre goes, which is near
-        assert np.abs(turned.joints_px - plain.joints_px).max() < 12
-    else:
-        np.testing.assert_allclose(turned.joints_px, plain.joints_px, atol=1e-2)
-        np.testing.assert_allclose(turned.rays_from_crop, plain.rays_from_crop, atol=1e-5)
-        assert np.abs(turned.image.astype(int) - plain.image).mean() < 6
+    np.testing.assert_allclose(turned.joints_px, plain.joints_px, atol=1e-2)
+    np.testing.assert_allclose(turned.rays_from_crop, plain.rays_from_crop, atol=1e-5)
+    assert np.abs(turned.image.astype(int) - plain.image).mean() < 6
     np.testing.assert_allclose(turned.canonical, plain.canonical, atol=1e-5)
     assert turned.distance == pytest.approx(plain.distance)
     back = apply_homography(turned.image_from_crop.astype(float), turned.joints_px.astype(float))
     np.testing.assert_allclose(back, original.joints_px[side], atol=1e-2)
+
+
+def test_an_error_of_a_predicted_box_shifts_a_rolled_crop_by_as_much(monkeypatch):
+    original = sample(3)
+    boxes = np.stack([hand_box(original, side) for side in (LEFT, RIGHT)])
+    monkeypatch.setattr(pose_targets, "random_roll", lambda crop, rng: rotation_about_z(np.radians(50.0)))
+    error = np.array([3.0, -2.0])
+    exact, shifted = (
+        target(original, LEFT, 128, PAPER_CROP, predicted=Segmentation(hand_classes(original.labels), boxes + shift))
+        for shift in (np.zeros(4), np.tile(error, 2))
+    )
+    middles = [
+        apply_homography(found.image_from_crop.astype(float), np.array([[64.0, 64]])) for found in (exact, shifted)
+    ]
+    np.testing.assert_allclose(middles[1] - middles[0], [error], atol=1e-3)
 
 
 def test_half_of_the_crops_are_rolled():

@@ -71,6 +71,14 @@ def test_training_takes_either(sets):
         np.testing.assert_array_equal(from_folder.labels, from_shard.labels)
 
 
+def test_backgrounds_are_refused_where_all_pictures_have_theirs(sets, tmp_path):
+    """Named case: they were not even looked at, and the weights' card named them."""
+    (tmp_path / "rooms").mkdir()
+    for root in sets:
+        with pytest.raises(InputError, match=f"backgrounds '{tmp_path / 'rooms'}' go behind cached frames"):
+            open_source(DataConfig(source=str(root), backgrounds=str(tmp_path / "rooms")))
+
+
 def test_sound_sets_have_no_problem(sets):
     for root in sets:
         report = inspect_dataset(open_ego3dhands(root))

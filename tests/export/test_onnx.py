@@ -1,5 +1,6 @@
 """The exported networks answer like the trained ones, for any batch size, in the runtime that users have."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -239,7 +240,7 @@ def test_other_modules_are_refused(tmp_path):
 
 
 def test_linear_maps_are_read_by_sub_pixel(checkpoints, tmp_path, monkeypatch):
-    config = PoseNet2DConfig("encoder-decoder", crop_size=160, stages=1, width=0.1, activation="linear")
+    config = PoseNet2DConfig("encoder-decoder", crop_size=160, stages=1, width=0.1, activation="linear", cues=3)
     linear = tmp_path / "linear.safetensors"
     save_network("pose_net_2d", PoseNet2D(config), linear, note={"crop": {"kind": "square", "margin": 1.5}})
     monkeypatch.setattr(onnx, "export_network", lambda *_: None)  # only the card matters here
@@ -249,12 +250,19 @@ def test_linear_maps_are_read_by_sub_pixel(checkpoints, tmp_path, monkeypatch):
     assert card["pose_net_2d"]["crop_kind"] == "square"
 
 
-def test_swapped_and_unexplained_checkpoints_are_refused(checkpoints, networks, tmp_path):
+def test_checkpoints_that_are_swapped_unexplained_or_do_not_fit_are_refused(checkpoints, networks, tmp_path):
+    """Before anything is written. Named case: networks of different cues made a preset that could not be loaded."""
     with pytest.raises(CheckpointError, match="holds weights of 'pose_net_3d'"):
         onnx.export_preset({**checkpoints, "pose_net_2d": checkpoints["pose_net_3d"]}, tmp_path / "mini", name="mini")
     save_network("pose_net_2d", networks["pose_net_2d"], tmp_path / "bare.safetensors")
     with pytest.raises(CheckpointError, match="how its crops were cut"):
         onnx.export_preset(
             {**checkpoints, "pose_net_2d": tmp_path / "bare.safetensors"}, tmp_path / "mini", name="mini"
+        )
+    fewer = PoseNet2D(dataclasses.replace(NETWORKS.pose_net_2d, cues=2))
+    save_network("pose_net_2d", fewer, tmp_path / "fewer.safetensors", note=NOTES["pose_net_2d"])
+    with pytest.raises(InputError, match="gives 2 cues, but pose_net_3d takes 3"):
+        onnx.export_preset(
+            {**checkpoints, "pose_net_2d": tmp_path / "fewer.safetensors"}, tmp_path / "mini", name="mini"
         )
     assert not (tmp_path / "mini").exists()

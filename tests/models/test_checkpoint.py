@@ -1,9 +1,12 @@
 """Weights survive a round trip, and never end up in another network."""
 
+import resource
+import signal
+
 import pytest
 import torch
 
-from twohands.errors import CheckpointError
+from twohands.errors import CheckpointError, InputError
 from twohands.models.checkpoint import (
     load_network,
     network_name,
@@ -37,6 +40,34 @@ def test_round_trip_is_bitwise(saved):
     assert read_note(path) == {"seed": 3}
     assert network_name(path) == "pose_net_3d"
     assert [file.name for file in path.parent.iterdir()] == ["net.safetensors"]
+
+
+def test_weights_are_as_readable_as_any_other_file(saved, tmp_path):
+    """Named case: safetensors made them private, whatever the umask."""
+    (tmp_path / "other").touch()
+    assert saved[1].stat().st_mode == (tmp_path / "other").stat().st_mode
+
+
+def test_what_cannot_be_written_is_one_line_and_leaves_the_old_file(saved):
+    """Named case: a full disk ended a training in a traceback. Files larger than a limit stand for it."""
+    network, path = saved
+    before = path.read_bytes()
+    limit = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limit[1]))
+    try:
+        with pytest.raises(InputError, match="cannot be written") as caught:
+            save_network("pose_net_3d", network, path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limit)
+        signal.signal(signal.SIGXFSZ, handler)
+    assert "\n" not in str(caught.value)
+    assert path.read_bytes() == before and [file.name for file in path.parent.iterdir()] == [path.name]
+
+
+def test_a_file_in_place_of_a_folder_is_one_line(saved):
+    with pytest.raises(InputError, match="cannot be written"):
+        save_network("pose_net_3d", saved[0], saved[1] / "inside.safetensors")
 
 
 def test_same_weights_sees_one_changed_number(saved):

@@ -29,6 +29,18 @@ def test_a_row_changes_what_it_names_and_starts_from_fitting_networks():
     assert len({row_config(row, "frames").iterations for row in ROWS}) == 1
 
 
+def test_rows_of_pose_net_3d_train_the_losses_in_their_names_alone():
+    """Named case: L_place, which entered the recipe later, was in every row."""
+    three_d = [row for row in ROWS if row.stage == "pose_net_3d"]
+    losses = [row_config(row, "frames").loss for row in three_d]
+    assert [[loss.bone > 0, loss.projection > 0, loss.place > 0] for loss in losses] == [
+        [False, False, False],
+        [True, False, False],
+        [True, True, False],
+        [True, True, False],
+    ]
+
+
 def test_the_page_has_a_table_for_every_kind_of_row():
     figures = {
         "image_px_median": 1.234,

@@ -76,6 +76,13 @@ def test_sum_map_is_the_mean_times_cells_times_joints():
     assert summed.item() == pytest.approx(by_hand.item(), rel=1e-5)
 
 
+@pytest.mark.parametrize("reduction", ["mean", "sum_map"])
+def test_no_crops_have_no_error_of_heatmaps(reduction):
+    """A process may have none. Named case: sum_map asked the first one for its size."""
+    nothing = torch.zeros(0, 21, 8, 8)
+    assert losses.heatmap_mse([nothing], nothing, torch.zeros(0, 21), reduction).item() == 0
+
+
 def test_cross_entropy_normalises_the_target():
     logits = torch.zeros(1, 1, 1, 2)
     logits[..., 1] = math.log(3)  # softmax 1/4, 3/4

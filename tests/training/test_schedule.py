@@ -91,6 +91,25 @@ def test_overrides():
 
 
 @pytest.mark.parametrize(
+    "assignments",
+    [("networks.pose_net_2d.activation=linear", "loss.heatmap=mse"), ("crop.smallest=1.1", "crop.largest=1.3")],
+)
+def test_overrides_that_only_fit_together_come_in_any_order(assignments):
+    """Named case: the first was refused before the second was read."""
+    config = recipe("ours", "pose_net_2d")
+    changed = with_override(config, *assignments)
+    assert changed == with_override(config, *reversed(assignments)) != config
+    with pytest.raises(InputError):
+        with_override(config, assignments[0])
+
+
+def test_the_last_override_of_a_name_counts():
+    config = recipe("ours", "pose_net_2d")
+    assert with_override(config, "iterations=3", "crop.roll=5", "iterations=7").iterations == 7
+    assert with_override(config) == config
+
+
+@pytest.mark.parametrize(
     ("assignment", "message"),
     [
         ("optim.speed=1", "unknown setting 'optim.speed'"),

@@ -168,6 +168,20 @@ def test_resuming_with_other_networks_is_refused(tmp_path):
         train(tiny_run("pose_net_2d", iterations=2), SAMPLES, [], tmp_path / "run", resume=True)
 
 
+def test_resuming_with_what_a_run_did_not_keep_is_refused(tmp_path):
+    """Named cases: an error inside the first step, and a message about other networks."""
+    along = tiny_run("pose_net_3d", iterations=2)
+    train(along, SAMPLES, [], tmp_path / "along", weights=pose_weights(tmp_path), stop_after=1)
+    with pytest.raises(InputError, match=r"trained PoseNet2D along: optim\.along_rate cannot be 0"):
+        train(with_override(along, "optim.along_rate=0"), SAMPLES, [], tmp_path / "along", resume=True)
+    assert train(along, SAMPLES, [], tmp_path / "along", resume=True).iterations == 2
+    plain_run = with_override(tiny_run("hand_seg_net", iterations=2), "optim.ema=0")
+    train(plain_run, SAMPLES, [], tmp_path / "plain", stop_after=1)
+    with pytest.raises(InputError, match="a run without averaged weights"):
+        train(with_override(plain_run, "optim.ema=0.9"), SAMPLES, [], tmp_path / "plain", resume=True)
+    assert train(plain_run, SAMPLES, [], tmp_path / "plain", resume=True).iterations == 2
+
+
 def test_log_config_and_note(tmp_path):
     lines: list[str] = []
     config = tiny_run("pose_net_2d", iterations=4, log_every=2, validate_every=2, seed=3)
@@ -227,6 +241,19 @@ def test_gradients_reach_pose_net_2d_through_the_maps(tmp_path):
         stage.zero_grad()
         losses[name].backward(retain_graph=True)
         assert max(float(p.grad.abs().max()) for p in stage.net_2d.net.parameters()) > 0
+
+
+@pytest.mark.parametrize("along", [0.0, 1.0])
+def test_everything_that_learns_gets_a_gradient(along, tmp_path):
+    """Named case: several processes waited for those of a judge without a loss, and ended in an error."""
+    config = with_override(tiny_run("pose_net_3d", iterations=1), f"loss.heatmap_along={along}")
+    stage = build_stage(config, pose_weights(tmp_path)).train()
+    sum(stage(BatchDataset(SAMPLES, config)[0], 0).values()).backward()
+    learning = {name for name, parameter in stage.named_parameters() if parameter.requires_grad}
+    assert learning == {name for name, parameter in stage.named_parameters() if parameter.grad is not None}
+    assert any("judge" in name for name in learning) == (along > 0)
+    result = train(config, SAMPLES, [], tmp_path / "run", weights=pose_weights(tmp_path))
+    assert result.iterations == 1
 
 
 def test_frozen_statistics_stay_while_all_weights_learn(tmp_path):

@@ -7,6 +7,7 @@ import tempfile
 from pathlib import Path
 
 from twohands.errors import InputError
+from twohands.files import let_others_read
 
 
 def check_output_folder(folder: Path, *, overwrite: bool) -> None:
@@ -46,17 +47,10 @@ def write_file(path: Path, content: bytes) -> None:
         try:
             with os.fdopen(handle, "wb") as file:
                 file.write(content)
-            os.chmod(temporary, 0o666 & ~_umask())
+            let_others_read(Path(temporary))
             os.replace(temporary, path)
         except BaseException:
             os.unlink(temporary)
             raise
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from error
-
-
-def _umask() -> int:
-    """The process's umask; mkstemp makes private files, results should be as readable as any other file."""
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

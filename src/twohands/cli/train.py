@@ -48,7 +48,7 @@ class TrainArgs:
     """Folders of training pictures (instances, tar shards or frames), or "synthetic" to render them on the fly; needed
     unless resuming."""
     backgrounds: tuple[Path, ...] = ()
-    """Folders of photographs to put behind rendered hands, beside procedural backgrounds."""
+    """Folders of photographs to put behind the hands of frames and of "synthetic", beside procedural backgrounds."""
     recipe: Literal["ours", "paper"] = "ours"
     """ours: slim networks, half an hour each on two cores; paper: networks, losses and schedule of the publication."""
     weights: tuple[Path, ...] = ()
@@ -105,9 +105,9 @@ def changed(config: TrainConfig, args: TrainArgs) -> TrainConfig:
     """The run with everything that the arguments change.
 
     Raises:
-        InputError: an unknown setting.
+        InputError: an unknown setting, settings that do not fit together, or a folder with a comma in its path.
     """
-    from twohands.training.config import with_override
+    from twohands.training.config import folder_list, with_override
 
     given = {
         "iterations": args.iterations,
@@ -117,18 +117,15 @@ def changed(config: TrainConfig, args: TrainArgs) -> TrainConfig:
         "threads": args.threads,
     }
     config = dataclasses.replace(config, **{name: value for name, value in given.items() if value is not None})
-    backgrounds = ",".join(map(str, args.backgrounds))
     data = {
-        "source": ",".join(args.data) or None,
+        "source": folder_list(args.data) or None,
         "workers": args.workers,
-        "backgrounds": backgrounds or None,
+        "backgrounds": folder_list(args.backgrounds) or None,
         "segmentation": str(args.segmentation) if args.segmentation else None,
     }
     changes = {name: value for name, value in data.items() if value is not None}
     config = dataclasses.replace(config, data=dataclasses.replace(config.data, **changes))
-    for assignment in args.set:
-        config = with_override(config, assignment)
-    return config
+    return with_override(config, *args.set)
 
 
 def open_segmentation(checkpoint: Path) -> Segment:

@@ -307,8 +307,11 @@ def _ellipse(box_px: np.ndarray) -> np.ndarray:
 
 
 def _like(rolled_box: np.ndarray, box: np.ndarray, predicted: np.ndarray, unrolled: np.ndarray) -> np.ndarray:
-    """A predicted box in the rolled picture: its centre there, and larger or smaller by as much as the true box."""
-    centre = apply_homography(np.linalg.inv(unrolled), (predicted[None, :2] + predicted[None, 2:]) / 2)[0]
+    """A predicted box in the rolled picture: beside the tight box there by as much as it is beside the true one, and
+    larger or smaller by as much."""
+    middles = np.stack([predicted[:2] + predicted[2:], box[:2] + box[2:]]) / 2
+    found, true = apply_homography(np.linalg.inv(unrolled), middles)
+    centre = (rolled_box[:2] + rolled_box[2:]) / 2 + found - true
     half = (predicted[2:] - predicted[:2]) / 2 * (rolled_box[2:] - rolled_box[:2]) / (box[2:] - box[:2])
     return np.concatenate([centre - half, centre + half])
 

@@ -25,6 +25,7 @@ from twohands.models.checkpoint import BYTES, HALF, SCALE, describe, load_networ
 from twohands.models.hand_seg_net import HandSegNet
 from twohands.models.pose_net_2d import PoseNet2D, PoseNet2DConfig
 from twohands.models.pose_net_3d import PoseNet3D
+from twohands.models.presets import NetworkConfigs
 from twohands.skeleton import N_JOINTS
 
 CARD_VERSION = 1
@@ -182,8 +183,10 @@ def export_preset(
 
     Raises:
         CheckpointError: a checkpoint is missing, damaged, or was not written by the trainer.
+        InputError: the pose networks' cues differ.
     """
     networks = {key: load_network(key, checkpoints[key]) for key in ("hand_seg_net", "pose_net_2d", "pose_net_3d")}
+    NetworkConfigs(**{key: network.config for key, network in networks.items()}).check_cues()  # type: ignore[arg-type]
     notes = {key: read_note(path) for key, path in checkpoints.items()}
     crop = notes["pose_net_2d"].get("crop")
     if crop is None:

@@ -19,6 +19,7 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from twohands.errors import CheckpointError, InputError
+from twohands.files import let_others_read
 from twohands.models.presets import NETWORKS, build_network, config_from_dict
 
 FORMAT = "twohands-checkpoint-1"
@@ -35,13 +36,24 @@ def save_tensors(tensors: Mapping[str, Tensor], metadata: Mapping[str, str], pat
         tensors: name -> tensor; tensors may share memory with a live network, they are not changed.
         metadata: strings stored in the file's header.
         path: destination; its folder is made if missing.
+
+    Raises:
+        InputError: it cannot be written.
     """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(path.name + ".partial")
     plain = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
-    save_file(plain, partial, metadata=dict(metadata))
-    os.replace(partial, path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            save_file(plain, partial, metadata=dict(metadata))
+            let_others_read(partial)
+            os.replace(partial, path)
+        except BaseException:
+            partial.unlink(missing_ok=True)
+            raise
+    except (OSError, SafetensorError) as error:
+        raise InputError(f"{path}: cannot be written: {error}") from error
 
 
 def load_tensors(path: str | Path) -> tuple[dict[str, Tensor], dict[str, str]]:

@@ -40,6 +40,16 @@ class NetworkConfigs:
     pose_net_2d: PoseNet2DConfig = field(default_factory=PoseNet2DConfig)
     pose_net_3d: PoseNet3DConfig = field(default_factory=PoseNet3DConfig)
 
+    def check_cues(self) -> None:
+        """See that the pose networks can work together.
+
+        Raises:
+            InputError: their cues differ.
+        """
+        given, taken = self.pose_net_2d.cues, self.pose_net_3d.cues
+        if given != taken:
+            raise InputError(f"pose_net_2d gives {given} cues, but pose_net_3d takes {taken}")
+
 
 PAPER = NetworkConfigs()
 """The paper's networks (SPEC 2, 3, 4)."""

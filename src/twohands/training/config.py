@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from twohands.datasets.pose_targets import CropConfig
@@ -27,6 +28,19 @@ def _check_choices(config: Any) -> None:
     for name, hint in get_type_hints(type(config)).items():
         if get_origin(hint) is Literal and getattr(config, name) not in get_args(hint):
             raise InputError(f"{name} must be one of {', '.join(get_args(hint))}, got '{getattr(config, name)}'")
+
+
+def folder_list(folders: Iterable[str | Path]) -> str:
+    """Folders as `DataConfig` has them, separated by commas.
+
+    Raises:
+        InputError: one of them has a comma in its name.
+    """
+    names = [str(folder) for folder in folders]
+    for name in names:
+        if "," in name:
+            raise InputError(f"'{name}': training cannot use a folder with a comma in its path; rename it")
+    return ",".join(names)
 
 
 @dataclass(frozen=True)
@@ -248,22 +262,35 @@ def _from_dict(default: Any, values: Mapping[str, Any], where: str) -> Any:
     return dataclasses.replace(default, **changes)
 
 
-def with_override(config: TrainConfig, assignment: str) -> TrainConfig:
-    """The config with one setting changed.
+def with_override(config: TrainConfig, *assignments: str) -> TrainConfig:
+    """The config with some settings changed, all at once: those that only fit together may come in any order.
 
     Args:
         config: any run.
-        assignment: "optim.learning_rate=5e-4": the dotted name, then a value that fits the field's type.
+        assignments: "optim.learning_rate=5e-4": the dotted name, then a value that fits the field's type. The last one
+            of a name counts.
 
     Raises:
-        InputError: no such setting, or a value of another type.
+        InputError: no such setting, a value of another type, or values that do not fit together.
     """
+    values: dict[str, Any] = {}
+    for assignment in assignments:
+        name, value = _setting(config, assignment)
+        *parents, leaf = name.split(".")
+        group = values
+        for part in parents:
+            group = group.setdefault(part, {})
+        group[leaf] = value
+    return _from_dict(config, values, "")
+
+
+def _setting(config: TrainConfig, assignment: str) -> tuple[str, Any]:
+    """Dotted name and value of an assignment, see `with_override`."""
     name, sign, text = assignment.partition("=")
     if not sign:
         raise InputError(f"expected NAME=VALUE, got '{assignment}'")
-    *parents, leaf = name.split(".")
     node: Any = config
-    for part in [*parents, leaf]:
+    for part in name.split("."):
         if not dataclasses.is_dataclass(node) or part not in {entry.name for entry in dataclasses.fields(node)}:
             raise InputError(f"unknown setting '{name}'")
         node = getattr(node, part)
@@ -273,10 +300,7 @@ def with_override(config: TrainConfig, assignment: str) -> TrainConfig:
         value = {"true": True, "false": False}[text.lower()] if isinstance(node, bool) else type(node)(text)
     except (KeyError, ValueError) as error:
         raise InputError(f"{name} needs a value of type {type(node).__name__}, got '{text}'") from error
-    values: dict[str, Any] = {leaf: value}
-    for part in reversed(parents):
-        values = {part: values}
-    return _from_dict(config, values, "")
+    return name, value
 
 
 def recipe(name: RecipeName, stage: StageName) -> TrainConfig:

@@ -12,7 +12,7 @@ from pathlib import Path
 from twohands.models.checkpoint import load_network
 from twohands.models.presets import NetworkConfigs
 from twohands.synth.config import WILD, SynthConfig
-from twohands.training.config import StageName, TrainConfig, recipe
+from twohands.training.config import StageName, TrainConfig, folder_list, recipe
 from twohands.types import PinholeCamera
 
 LONGER_SIDE = 480
@@ -72,6 +72,9 @@ def fine_tuning_run(
         minutes: of all stages together.
         frames: folder of cached frames.
         segmentation: checkpoint of HandSegNet; the pose stage's crops come from it.
+
+    Raises:
+        InputError: `frames` has a comma in its path.
     """
     config = recipe("ours", stage)
     pose = stage != "hand_seg_net"
@@ -79,7 +82,9 @@ def fine_tuning_run(
         config,
         networks=networks,
         max_minutes=minutes * SHARES[stage],
-        data=dataclasses.replace(config.data, source=str(frames), segmentation=str(segmentation) if pose else ""),
+        data=dataclasses.replace(
+            config.data, source=folder_list([frames]), segmentation=str(segmentation) if pose else ""
+        ),
         augment=dataclasses.replace(config.augment, zoom=dataclasses.replace(config.augment.zoom, cut=0.0)),
         optim=dataclasses.replace(config.optim, learning_rate=LEARNING_RATE),
     )

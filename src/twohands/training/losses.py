@@ -6,6 +6,7 @@ processes train together, each sees its own part of the batch, and the mean of t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Literal
 
@@ -87,7 +88,7 @@ def heatmap_mse(
     """
     per_stage = [weighted_mean((maps.float() - target).square().mean(dim=(2, 3)), weight) for maps in outputs]
     loss = torch.stack(per_stage).sum()
-    return loss if reduction == "mean" else loss * target[0].numel()
+    return loss if reduction == "mean" else loss * math.prod(target.shape[1:])
 
 
 def heatmap_cross_entropy(logits: Tensor, target: Tensor, weight: Tensor) -> Tensor:

@@ -34,7 +34,7 @@ def open_source(spec: DataConfig) -> tuple[SampleSource, SampleSource]:
         share no frame with the training pictures.
 
     Raises:
-        InputError: no such source, or it is empty.
+        InputError: no such source, it is empty, or there are backgrounds for pictures that all have theirs.
         DataFormatError: the folder is damaged or not finished.
     """
     if spec.source == SYNTHETIC:
@@ -43,6 +43,11 @@ def open_source(spec: DataConfig) -> tuple[SampleSource, SampleSource]:
     folders = dict.fromkeys(names)
     share, behind = spec.validation // len(folders), cache(lambda: backgrounds_of(spec))
     opened = {name: _open_folder(name, spec, share, behind) for name in folders}
+    if spec.backgrounds and not any(_is_cache(Path(name)) for name in folders):
+        raise InputError(
+            f"backgrounds '{spec.backgrounds}' go behind cached frames and '{SYNTHETIC}' pictures alone, "
+            f"not behind those of {', '.join(folders)}: leave them out"
+        )
     training = tuple(opened[name][0] for name in names)
     return Joined(training), Joined(tuple(held_out for _, held_out in opened.values()))
 
@@ -55,9 +60,9 @@ def _open_folder(
     if not name or not folder.is_dir():
         raise InputError(f"training data '{name}': expected a folder or '{SYNTHETIC}'")
 
-    from twohands.synth.cache import FrameCache
+    if _is_cache(folder):
+        from twohands.synth.cache import FrameCache
 
-    if FrameCache.is_cache(folder):
         backgrounds = behind()
         frames = len(FrameCache(folder).indices)
         cut = frames - min(validation, frames // 10)
@@ -70,6 +75,13 @@ def _open_folder(
     from twohands.datasets.shards import open_ego3dhands
 
     return split(open_ego3dhands(folder).leaving_out({fmt.DEPTH_FILE}), validation)
+
+
+def _is_cache(folder: Path) -> bool:
+    """Whether a folder holds cached frames."""
+    from twohands.synth.cache import FrameCache
+
+    return FrameCache.is_cache(folder)
 
 
 def split(source: SampleSource, validation: int) -> tuple[IndexRange, IndexRange]:

@@ -30,6 +30,7 @@ from twohands.skeleton import N_JOINTS, ROOT
 from twohands.training import losses
 from twohands.training.batches import Batch
 from twohands.training.config import TrainConfig
+from twohands.training.parallel import mean_over_processes
 
 Losses = dict[str, Tensor]
 CUELESS = 0.1
@@ -131,10 +132,10 @@ def judge_losses(hand_logit: Tensor | None, batch: Batch, config: TrainConfig) -
 
 
 def only_hands(batch: Batch) -> tuple[Tensor, Batch]:
-    """Which crops (N,) show hands, and the batch of these: nothing else has joints to learn from. If none does, all:
-    without any there are no batch statistics."""
+    """Which crops (N,) show hands, and the batch of these: nothing else has joints to learn from. If none does,
+    in any process, all: without any there are no batch statistics. All processes must call this."""
     hands = batch["hand"] > 0
-    if not hands.any():
+    if mean_over_processes(hands.sum()) == 0:
         hands = torch.ones_like(hands)
     return hands, {name: values[hands] for name, values in batch.items()}
 
@@ -230,6 +231,8 @@ class Pose3DStage(Stage):
         self.net_3d = PoseNet3D(config.networks.pose_net_3d)
         self.along = config.optim.along_rate > 0
         self.net_2d.requires_grad_(self.along)
+        if self.net_2d.judge is not None and not config.loss.heatmap_along:
+            self.net_2d.judge.requires_grad_(False)  # nothing else teaches it, and processes wait for every gradient
 
     def train(self, mode: bool = True) -> Pose3DStage:
         """As for every module, but a frozen PoseNet2D keeps its batch statistics too."""
@@ -348,9 +351,7 @@ def build_stage(config: TrainConfig, weights: Sequence[Path] = (), *, require_we
         stage = Pose2DStage(config)
         known = {"pose_net_2d": stage.net}
     else:
-        given, taken = config.networks.pose_net_2d.cues, config.networks.pose_net_3d.cues
-        if given != taken:
-            raise InputError(f"pose_net_2d gives {given} cues, but pose_net_3d takes {taken}")
+        config.networks.check_cues()
         stage = Pose3DStage(config, PoseNet2D(config.networks.pose_net_2d))
         known = {"pose_net_2d": stage.net_2d, "pose_net_3d": stage.net_3d}
     filled: set[str] = set()

@@ -116,7 +116,8 @@ class TrainState:
 
         Raises:
             CheckpointError: missing, damaged, or of a run with other networks.
-            InputError: of a run with another optimizer.
+            InputError: of a run with another optimizer, without averaged weights, or that trained what this one keeps
+                fixed.
         """
         tensors, metadata = load_tensors(path)
         if "state" not in metadata:
@@ -125,10 +126,13 @@ class TrainState:
         before = header["config"]["optim"]["optimizer"]
         if before != config.optim.optimizer:
             raise InputError(f"{path} is the state of a run with {before}, not {config.optim.optimizer}")
+        averaged = _below("average.", tensors)
+        if self.average is not None and not averaged:
+            raise InputError(f"{path} is the state of a run without averaged weights: resume it with optim.ema=0")
         try:
             self.stage.load_state_dict(_below("stage.", tensors))
             if self.average is not None:
-                self.average.load_state_dict(_below("average.", tensors))
+                self.average.load_state_dict(averaged)
         except RuntimeError as error:
             raise CheckpointError(f"{path}: saved by a run with other networks") from error
         entries: dict[int, dict[str, Tensor]] = {}
@@ -136,6 +140,8 @@ class TrainState:
             index, key = name.split(".", 1)
             entries.setdefault(int(index), {})[key] = tensor
         groups = self.optimizer.state_dict()["param_groups"]
+        if entries.keys() - {index for group in groups for index in group["params"]}:
+            raise InputError(f"{path} is the state of a run that trained PoseNet2D along: optim.along_rate cannot be 0")
         self.optimizer.load_state_dict({"state": entries, "param_groups": groups})
         for parameter, values in self.optimizer.state.items():  # same memory layout, else other rounding
             for key, value in values.items():
