@@ -107,7 +107,7 @@ def test_a_file_that_the_system_refuses_is_one_line_and_exit_2(error, message, m
 def test_a_name_too_long_for_a_file_is_one_line_for_verbs_that_look_at_files(capsys):
     name = "a" * 300
     report = ["eval", "report", "d", "--predictions", f"{name}.npz", "--out", "report"]
-    for words in (["inspect", name], ["bake", "--out", f"{name}/a.npz"], report):
+    for words in (["inspect", name], ["bench", name], report):
         assert main(words) == 2
         error = capsys.readouterr().err
         assert error.count("\n") == 1 and name in error, words
