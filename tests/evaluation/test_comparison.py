@@ -9,8 +9,9 @@ from tests.evaluation.test_protocols import SAMPLES, make_sample, perfect_pose, 
 from twohands.errors import InputError
 from twohands.evaluation.breakdown import breakdowns
 from twohands.evaluation.comparison import Protocol, compare, covered_share, sequences
+from twohands.evaluation.curves import pck_curves
 from twohands.evaluation.protocols import evaluate, metrics_of
-from twohands.skeleton import LEFT, RIGHT, part_label
+from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST, part_label
 from twohands.types import HandPose, HandSample, TwoHandPose
 
 NAN = np.nan
@@ -65,6 +66,23 @@ def test_a_hidden_root_still_has_a_range() -> None:
     report = evaluate(predictions_for(samples=[sample]), [sample], Protocol(visible_only=True))
     assert report["range_median"].count == 2 and report["range_median"].value == pytest.approx(0, abs=1e-9)
     assert report["epe_2d_mean"].count == 0 and np.isnan(report["epe_2d_mean"].value)
+
+
+@pytest.mark.parametrize("joint", [WRIST, ROOT])
+def test_without_a_hand_length_the_canonical_pose_does_not_count(joint: int) -> None:
+    """Named case: a hand that was found counted as missed in the 3D PCK where its wrist or root was not labelled."""
+    valid = SAMPLES[0].valid.copy()
+    valid[LEFT, joint] = False
+    sample = replace(SAMPLES[0], valid=valid)
+    comparison = compare(predictions_for(lambda _: perfect_pose(SAMPLES[0]), [sample]), [sample])
+    for errors in (comparison.spherical_mm, comparison.cartesian_mm, comparison.procrustes_mm, comparison.bones_mm):
+        assert np.isnan(errors[0, LEFT]).all() and np.isfinite(errors[0, RIGHT]).all()
+    metrics = {metric.key: metric for metric in metrics_of(comparison)}
+    for key in ("auc_20_50_spherical", "auc_20_50_cartesian", "auc_zb_spherical"):
+        assert np.isnan(metrics[key].left) and metrics[key].value == metrics[key].right and metrics[key].count == 1, key
+    assert metrics["epe_2d_mean"].count == metrics["cs_mpjpe"].count == 2  # its other joints still do
+    panel = next(curve for curve in pck_curves(comparison) if curve.panel.key == "3d")
+    assert panel.shares[-1] == 1
 
 
 def test_hands_without_label_may_be_found() -> None:

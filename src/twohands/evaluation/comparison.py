@@ -62,9 +62,10 @@ class Comparison:
         visible_share: (N, 2) share of the hand's joints in view (`part_labels.visible_share`); NaN where unknown.
         box_iou: (N, 2) overlap of predicted and true box; NaN without either.
         joints_px: (N, 2, 21) 2D error, pixels at a width of 480.
-        spherical_mm, cartesian_mm: (N, 2, 21) error of the canonical pose at the true hand length, by alignment.
+        spherical_mm, cartesian_mm: (N, 2, 21) error of the canonical pose at the true hand length, by alignment; NaN
+            where that length is unknown.
         procrustes_mm: (N, 2, 21) the same after the best similarity transform.
-        bones_mm: (N, 2, 20) bone length errors of the canonical pose at the true hand length.
+        bones_mm: (N, 2, 20) bone length errors of the canonical pose at the true hand length; NaN as above.
         camera_mm: (N, 2, 21) error in camera space without any alignment.
         root: (N, 2, 5) of `metrics.spherical_errors`: theta, phi, direction in degrees, range in m, range / true range.
         relative_root_mm: (N,) error of the vector between the hands.
@@ -221,13 +222,14 @@ def _comparison(predictions: Predictions, truth: _Labels, protocol: Protocol) ->
     length = np.linalg.norm(truth.joints_m[..., WRIST, :] - truth.joints_m[..., ROOT, :], axis=-1)  # (N, 2)
     scaled_mm = 1e3 * length[..., None, None] * predictions.canonical
     true_mm = 1e3 * truth.joints_m
+    sized_mm = np.where(np.isfinite(length)[..., None, None], true_mm, np.nan)  # no length, no canonical pose in mm
     true_roots, roots = truth.joints_m[:, :, ROOT], predictions.joints_m[:, :, ROOT]
     spherical_mm, cartesian_mm = (
         joints(
             by_hand(
                 m.endpoint_errors,
                 1e3 * np.asarray(align(predictions.canonical, length, truth.joints_m)),
-                true_mm,
+                sized_mm,
                 found,
             )
         )
@@ -250,7 +252,7 @@ def _comparison(predictions: Predictions, truth: _Labels, protocol: Protocol) ->
         spherical_mm=spherical_mm,
         cartesian_mm=cartesian_mm,
         procrustes_mm=joints(by_hand(m.procrustes_errors, scaled_mm, true_mm, found)),
-        bones_mm=by_hand(m.bone_length_errors, scaled_mm, true_mm, found),
+        bones_mm=by_hand(m.bone_length_errors, scaled_mm, sized_mm, found),
         camera_mm=joints(by_hand(m.endpoint_errors, 1e3 * predictions.joints_m, true_mm, valid)),
         root=by_hand(m.spherical_errors, roots, true_roots, valid),
         relative_root_mm=1e3 * m.relative_root_errors(roots, true_roots, valid),
