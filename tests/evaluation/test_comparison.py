@@ -61,6 +61,31 @@ def test_boxes_end_at_the_edge_of_the_picture() -> None:
     np.testing.assert_allclose(compared.box_iou[0], 1, atol=1e-6)
 
 
+@pytest.mark.parametrize("found", [True, False])
+def test_a_hand_that_is_not_labelled_whole_has_no_box(found: bool) -> None:
+    """Named case: a right box was held against the small one of the only finger with labels. A right hand that is
+    labelled whole and one that is not there still have theirs."""
+    valid = SAMPLES[0].valid.copy()
+    valid[LEFT] = np.arange(21) >= 17
+    samples = [replace(SAMPLES[0], valid=valid), SAMPLES[3]]
+
+    def estimate(sample: HandSample) -> TwoHandPose:
+        pose = perfect_pose(SAMPLES[0] if sample is samples[0] else sample)
+        return pose if found else replace(pose, left=HandPose(present=False))
+
+    comparison = compare(predictions_for(estimate, samples), samples)
+    assert comparison.boxed.tolist() == [[False, True], [True, True]]
+    metrics = {metric.key: metric for metric in metrics_of(comparison)}
+    assert (metrics["box_accuracy"].value, metrics["box_accuracy"].count) == (1, 3)
+    assert metrics["presence_accuracy"].count == 4
+
+
+def test_a_hand_out_of_the_picture_has_no_box() -> None:
+    sample = replace(SAMPLES[0], joints_px=SAMPLES[0].joints_px - [[[5000, 0]], [[0, 0]]])
+    comparison = compare(predictions_for(samples=[sample]), [sample])
+    assert comparison.boxed.tolist() == [[False, True]]
+
+
 def test_a_hidden_root_still_has_a_range() -> None:
     sample = replace(SAMPLES[0], visible=np.zeros((2, 21), bool))
     report = evaluate(predictions_for(samples=[sample]), [sample], Protocol(visible_only=True))
