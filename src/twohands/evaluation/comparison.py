@@ -57,7 +57,7 @@ class Comparison:
         sources: (N,) names of the samples.
         present, found, valid: (N, 2) bool, labelled as present, predicted as present, predicted with a usable range.
         judged: (N, 2) bool, hands whose presence can be right or wrong.
-        boxed: (N, 2) bool, those of them whose box can be: absent, or labelled whole and at least partly in the picture.
+        boxed: (N, 2) bool, those of them whose box can be: absent, or labelled whole and partly in the picture.
         range_m: (N, 2) true distance of the root joint; NaN where unknown.
         overlap: (N, 2) share of the box of the hand's labelled joints that the other hand's covers, 0..1; NaN where
             unknown.
