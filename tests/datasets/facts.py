@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
 from pathlib import Path
 
 import cv2
@@ -86,3 +88,15 @@ def write_picture(path: Path, width: int, height: int, colour: tuple[int, int, i
 def cut_off(path: Path, keep: float) -> None:
     data = path.read_bytes()
     path.write_bytes(data[: int(keep * len(data))])
+
+
+def huge_png(data: bytes) -> bytes:
+    """The same PNG with a header of 60,000 by 60,000 pixels, and that header's checksum."""
+    header = b"IHDR" + struct.pack(">II", 60_000, 60_000) + data[24:29]
+    return data[:12] + header + struct.pack(">I", zlib.crc32(header)) + data[33:]
+
+
+def huge_jpeg(data: bytes) -> bytes:
+    """The same JPEG with a header of 60,000 by 60,000 pixels."""
+    size = data.index(b"\xff\xc0") + 5
+    return data[:size] + struct.pack(">HH", 60_000, 60_000) + data[size + 4 :]

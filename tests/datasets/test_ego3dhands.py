@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from tests.datasets import fakes
+from tests.datasets.facts import huge_png
 
 from twohands import ego3dhands_format as fmt
 from twohands.datasets.base import HandDataset
@@ -139,6 +140,31 @@ def test_wrong_sizes_and_values_are_named(tmp_path: Path) -> None:
     (tmp_path / "0" / fmt.LABELS_FILE).unlink()
     np.save(tmp_path / "0" / fmt.JOINTS_2D_FILE, np.array([{"a": 1}], dtype=object), allow_pickle=True)
     with pytest.raises(DataFormatError, match=fmt.JOINTS_2D_FILE):
+        read_instance(tmp_path / "0")
+
+
+def test_a_png_that_says_to_be_huge_is_named(tmp_path: Path) -> None:
+    """Named case: 60,000 by 60,000 pixels were OpenCV's own error."""
+    fakes.write_instance(tmp_path / "0")
+    path = tmp_path / "0" / fmt.IMAGE_FILE
+    path.write_bytes(huge_png(path.read_bytes()))
+    with pytest.raises(DataFormatError, match=rf"{fmt.IMAGE_FILE}: not a PNG file that can be decoded"):
+        read_instance(tmp_path / "0")
+
+
+def test_a_name_with_a_raised_digit_is_a_name(tmp_path: Path) -> None:
+    """Named case: it is a digit, but no number. Digits of other scripts are numbers."""
+    for name in ("area_10²", "area_2", "area_१०"):
+        fakes.write_instance(tmp_path / name)
+    dataset = Ego3DHands(tmp_path)
+    assert [dataset.source(i) for i in range(3)] == ["area_2", "area_10²", "area_१०"]
+
+
+@pytest.mark.parametrize("text", ['{"fx": 1' + "0" * 400 + ', "fy": 1, "cx": 1, "cy": 1}', "[" * 200_000])
+def test_a_camera_of_no_numbers_is_named(tmp_path: Path, text: str) -> None:
+    fakes.write_instance(tmp_path / "0")
+    (tmp_path / "0" / fmt.CAMERA_FILE).write_text(text)
+    with pytest.raises(DataFormatError, match=r"camera\.json: fx, fy, cx and cy expected"):
         read_instance(tmp_path / "0")
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.datasets.facts import check_hands, curled_hand, cut_off, write_picture
+from tests.datasets.facts import check_hands, curled_hand, cut_off, huge_jpeg, write_picture
 
 from twohands.datasets.base import HandDataset
 from twohands.datasets.freihand import BACKGROUNDS, FreiHAND
@@ -84,6 +84,30 @@ def test_labels_that_do_not_fit_are_named(tmp_path: Path) -> None:
     (tmp_path / "evaluation_K.json").write_text("{}")
     with pytest.raises(DataFormatError, match="expected a JSON list, got a dict"):
         FreiHAND(tmp_path)
+
+
+def test_a_jpeg_that_says_to_be_huge_is_named(tmp_path: Path) -> None:
+    """Named case: 60,000 by 60,000 pixels were OpenCV's own error."""
+    write_freihand(tmp_path)
+    path = tmp_path / "evaluation" / "rgb" / "00000000.jpg"
+    path.write_bytes(huge_jpeg(path.read_bytes()))
+    with pytest.raises(DataFormatError, match=r"00000000\.jpg: not a JPG file that can be decoded"):
+        FreiHAND(tmp_path)[0]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[" * 200_000, r"evaluation_K\.json: not a complete JSON file"),
+        (f"[[[1{'0' * 400}, 0, 1], [0, 1, 1], [0, 0, 1]], 0]", "entry 0: expected an array of numbers"),
+    ],
+)
+def test_json_that_python_cannot_hold_is_named(tmp_path: Path, text: str, message: str) -> None:
+    """Named case: brackets without end and integers of 400 digits were errors of the interpreter."""
+    write_freihand(tmp_path)
+    (tmp_path / "evaluation_K.json").write_text(text)
+    with pytest.raises(DataFormatError, match=message):
+        FreiHAND(tmp_path)[0]
 
 
 def write_true_sample(source: Path, root: Path) -> None:

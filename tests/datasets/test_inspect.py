@@ -95,6 +95,29 @@ def test_what_is_seen_of_a_hand_and_not_in_its_amodal_mask_is_found(tmp_path: Pa
     assert problem.message == "right hand: 1 pixels of gt_seg.png are not in gt_amodal.png"
 
 
+@pytest.mark.parametrize(
+    ("change", "finding"),
+    [
+        (lambda data: b"", "zero bytes"),
+        (lambda data: data[:-1], "not a complete PNG file"),
+        (lambda data: data[: len(data) // 2], "not a complete PNG file"),
+        (lambda data: b"GIF89a" + data[6:], "not a PNG file that can be decoded"),
+        (lambda data: cv2.imencode(".png", np.zeros((3, 4), np.uint8))[1].tobytes(), r"expected the image's size"),
+    ],
+)
+def test_a_damaged_amodal_mask_is_a_problem(tmp_path: Path, change: Callable[[bytes], bytes], finding: str) -> None:
+    """Named case: it ended the inspection of the whole set, or was read as if its lost rows were background."""
+    mask = np.full((fakes.HEIGHT, fakes.WIDTH), 3, np.uint8)
+    data = cv2.imencode(".png", mask)[1].tobytes()
+    for name in ("0", "1"):
+        fakes.write_instance(tmp_path / name)
+        (tmp_path / name / fmt.AMODAL_FILE).write_bytes(data)
+    assert inspect_dataset(Ego3DHands(tmp_path)).problems == ()
+    (tmp_path / "0" / fmt.AMODAL_FILE).write_bytes(change(data))
+    (problem,) = inspect_dataset(Ego3DHands(tmp_path)).problems
+    assert problem.source == "0" and re.search(f"{fmt.AMODAL_FILE}: .*({finding})", problem.message)
+
+
 def test_official_sample_is_sound(shared_data: Path) -> None:
     report = inspect_dataset(Ego3DHands(shared_data / "official" / "ego3dhands"))
     assert report.problems == ()

@@ -139,10 +139,10 @@ def test_files_that_do_not_fit_are_named(tmp_path: Path) -> None:
 
 
 class _Call:
-    """Pickles as the call of any function."""
+    """Pickles as the call of any function, and what it returns given a state."""
 
-    def __init__(self, function: Any, *arguments: Any) -> None:
-        self._call = function, arguments
+    def __init__(self, function: Any, *arguments: Any, state: Any = None) -> None:
+        self._call = (function, arguments) if state is None else (function, arguments, state)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return self._call
@@ -182,6 +182,60 @@ class TestPickle:
         """What the test above relies on: plain `pickle` would have made the folder."""
         pickle.loads(pickle.dumps({0: _Call(os.mkdir, str(tmp_path / "trap"))}))
         assert (tmp_path / "trap").exists()
+
+    @pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
+    @pytest.mark.parametrize("kind", ["<f4", ">f8", "|u1", "<i2", "|b1"])
+    def test_arrays_of_every_kind_and_order(self, tmp_path: Path, protocol: int, kind: str) -> None:
+        values = np.arange(6).reshape(2, 3).astype(kind)
+        path = tmp_path / "a.pickle"
+        path.write_bytes(pickle.dumps([values, np.asfortranarray(values), values[0, 1], values[:, ::2]], protocol))
+        rows, columns, number, some = (np.asarray(part) for part in read_number_pickle(path))
+        for read in (rows, columns):
+            np.testing.assert_array_equal(read, values)
+            assert read.dtype == values.dtype
+        np.testing.assert_array_equal(some, values[:, ::2])
+        assert number == values[0, 1] and number.dtype == values.dtype.newbyteorder("=")
+
+    @pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
+    @pytest.mark.parametrize(
+        "forged",
+        [
+            _Call(np.dtype, "O"),
+            _Call(np.dtype, "V8"),
+            _Call(np.dtype, "i1,f8"),
+            _Call(np.dtype, "f8", state=(3, "|", None, ("a",), {"a": (np.dtype("f8"), 0)}, 8, 1, 0)),
+            _Call(np.dtype, "V8", state=(3, "|", None, ("a",), {"a": (_Call(np.dtype, "O"), 0)}, 8, 1, 63)),
+            _Call(np.dtype, "f8", state=(3, "|", (np.dtype("f8"), (2,)), None, None, 16, 1, 0)),
+            np.zeros(2, [("a", "f8")]),
+            np.array(["text"]),
+            np.array([object()]),
+            np.zeros(2, "M8[s]"),
+            np.complex128(1),
+        ],
+    )
+    def test_no_type_but_numbers(self, tmp_path: Path, protocol: int, forged: Any) -> None:
+        """Named case: the state of a dtype turned raw bytes into pointers to objects."""
+        (tmp_path / "a.pickle").write_bytes(pickle.dumps({0: forged}, protocol))
+        with pytest.raises(DataFormatError, match=r"a\.pickle: [^\n]*(not numbers|no array of numbers)"):
+            read_number_pickle(tmp_path / "a.pickle")
+
+    @pytest.mark.parametrize("data", [b"1234567", bytes(24), None, 8])
+    def test_bytes_that_do_not_fill_the_array(self, tmp_path: Path, data: Any) -> None:
+        new = np.zeros(2).__reduce__()
+        forged = _Call(new[0], *new[1], state=(1, (2,), np.dtype("f8"), False, data))
+        (tmp_path / "a.pickle").write_bytes(pickle.dumps(forged, 2))
+        with pytest.raises(DataFormatError, match="not a complete pickle of numbers"):
+            read_number_pickle(tmp_path / "a.pickle")
+
+    def test_what_is_no_annotation_is_named(self, tmp_path: Path) -> None:
+        """An array without numbers, a type, an array and a number in the place of an annotation or of its part."""
+        new = np.zeros(2).__reduce__()
+        empty = _Call(new[0], *new[1])
+        for wrong in (empty, np.dtype("f8"), np.zeros(3), np.float64(2)):
+            for entry in (wrong, annotation() | {"xyz": wrong}):
+                write_rhd(tmp_path, {0: entry}, {0: mask_of(5, 4)}, pickle.HIGHEST_PROTOCOL)
+                with pytest.raises(DataFormatError, match="entry 0"):
+                    RHD(tmp_path)[0]
 
     def test_no_other_codec(self, tmp_path: Path) -> None:
         import _codecs

@@ -13,6 +13,7 @@ from twohands import ego3dhands_format as fmt
 from twohands.datasets.base import HandDataset
 from twohands.datasets.ego3dhands import Ego3DHands
 from twohands.datasets.inspect import inspect_dataset
+from twohands.datasets.manifest import expected_hand_length_m
 from twohands.datasets.shards import ShardedEgo3DHands, open_ego3dhands
 from twohands.errors import DataFormatError, InputError
 from twohands.synth.manifest import claimed_folder
@@ -128,6 +129,18 @@ def test_hand_length_is_that_of_the_manifest(tmp_path):
     for length, problems in (("0.09", 2), ("null", 0), ("0.1", 0)):
         (tmp_path / "set" / "manifest.json").write_text(f'{{"config": {{"hand_length": {length}}}}}')
         assert len(inspect_dataset(Ego3DHands(tmp_path / "set")).problems) == problems
+
+
+def test_an_instance_of_a_dynamic_set_is_told_its_hand_length(tmp_path, monkeypatch):
+    """Named case: the manifest lies two levels above, and the hands were all of a wrong length."""
+    fakes.write_instance(tmp_path / "set" / "0003" / "00012")
+    (tmp_path / "set" / "manifest.json").write_text('{"config": {"hand_length": 0.09}}')
+    assert len(inspect_dataset(Ego3DHands(tmp_path / "set" / "0003" / "00012")).problems) == 2
+    (tmp_path / "set" / "manifest.json").write_text('{"config": {"hand_length": null}}')
+    monkeypatch.chdir(tmp_path / "set" / "0003")
+    for root in (tmp_path / "set" / "0003" / "00012", tmp_path / "set" / "0003", Path("00012"), Path()):
+        assert expected_hand_length_m(root) is None
+        assert inspect_dataset(Ego3DHands(root)).problems == ()
 
 
 def test_an_instance_without_joints_is_a_problem_and_no_exception(sets, tmp_path):

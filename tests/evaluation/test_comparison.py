@@ -9,8 +9,9 @@ from tests.evaluation.test_protocols import SAMPLES, make_sample, perfect_pose, 
 from twohands.errors import InputError
 from twohands.evaluation.breakdown import breakdowns
 from twohands.evaluation.comparison import Protocol, compare, covered_share, sequences
+from twohands.evaluation.curves import pck_curves
 from twohands.evaluation.protocols import evaluate, metrics_of
-from twohands.skeleton import LEFT, RIGHT, part_label
+from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST, part_label
 from twohands.types import HandPose, HandSample, TwoHandPose
 
 NAN = np.nan
@@ -60,11 +61,53 @@ def test_boxes_end_at_the_edge_of_the_picture() -> None:
     np.testing.assert_allclose(compared.box_iou[0], 1, atol=1e-6)
 
 
+@pytest.mark.parametrize("found", [True, False])
+def test_a_hand_that_is_not_labelled_whole_has_no_box(found: bool) -> None:
+    """Named case: a right box was held against the small one of the only finger with labels. A right hand that is
+    labelled whole and one that is not there still have theirs."""
+    valid = SAMPLES[0].valid.copy()
+    valid[LEFT] = np.arange(21) >= 17
+    samples = [replace(SAMPLES[0], valid=valid), SAMPLES[3]]
+
+    def estimate(sample: HandSample) -> TwoHandPose:
+        pose = perfect_pose(SAMPLES[0] if sample is samples[0] else sample)
+        return pose if found else replace(pose, left=HandPose(present=False))
+
+    comparison = compare(predictions_for(estimate, samples), samples)
+    assert comparison.boxed.tolist() == [[False, True], [True, True]]
+    metrics = {metric.key: metric for metric in metrics_of(comparison)}
+    assert (metrics["box_accuracy"].value, metrics["box_accuracy"].count) == (1, 3)
+    assert metrics["presence_accuracy"].count == 4
+
+
+def test_a_hand_out_of_the_picture_has_no_box() -> None:
+    sample = replace(SAMPLES[0], joints_px=SAMPLES[0].joints_px - [[[5000, 0]], [[0, 0]]])
+    comparison = compare(predictions_for(samples=[sample]), [sample])
+    assert comparison.boxed.tolist() == [[False, True]]
+
+
 def test_a_hidden_root_still_has_a_range() -> None:
     sample = replace(SAMPLES[0], visible=np.zeros((2, 21), bool))
     report = evaluate(predictions_for(samples=[sample]), [sample], Protocol(visible_only=True))
     assert report["range_median"].count == 2 and report["range_median"].value == pytest.approx(0, abs=1e-9)
     assert report["epe_2d_mean"].count == 0 and np.isnan(report["epe_2d_mean"].value)
+
+
+@pytest.mark.parametrize("joint", [WRIST, ROOT])
+def test_without_a_hand_length_the_canonical_pose_does_not_count(joint: int) -> None:
+    """Named case: a hand that was found counted as missed in the 3D PCK where its wrist or root was not labelled."""
+    valid = SAMPLES[0].valid.copy()
+    valid[LEFT, joint] = False
+    sample = replace(SAMPLES[0], valid=valid)
+    comparison = compare(predictions_for(lambda _: perfect_pose(SAMPLES[0]), [sample]), [sample])
+    for errors in (comparison.spherical_mm, comparison.cartesian_mm, comparison.procrustes_mm, comparison.bones_mm):
+        assert np.isnan(errors[0, LEFT]).all() and np.isfinite(errors[0, RIGHT]).all()
+    metrics = {metric.key: metric for metric in metrics_of(comparison)}
+    for key in ("auc_20_50_spherical", "auc_20_50_cartesian", "auc_zb_spherical"):
+        assert np.isnan(metrics[key].left) and metrics[key].value == metrics[key].right and metrics[key].count == 1, key
+    assert metrics["epe_2d_mean"].count == metrics["cs_mpjpe"].count == 2  # its other joints still do
+    panel = next(curve for curve in pck_curves(comparison) if curve.panel.key == "3d")
+    assert panel.shares[-1] == 1
 
 
 def test_hands_without_label_may_be_found() -> None:

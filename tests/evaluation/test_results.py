@@ -1,6 +1,7 @@
 """One page from finished reports: the paper's numbers in their column, nothing lost on the way through JSON."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from tests.evaluation.test_protocols import SAMPLES, perfect_pose, predictions_f
 
 from twohands.evaluation.comparison import Protocol, compare
 from twohands.evaluation.results import comparison_table, results_page, sweep_findings, sweep_table
-from twohands.evaluation.summary import Summary, summarise
+from twohands.evaluation.summary import BUDGET_COLUMNS, BUDGET_TEXT, Summary, summarise
 
 METRICS = ("range_mean", "range_median", "range_7cm", "cs_mpjpe", "acceleration_radial")
 
@@ -52,6 +53,51 @@ def test_ours_paper_mediapipe() -> None:
     assert rows["theta within 3 deg"][3] == "0.90 (static and dynamic)"  # no headline of ours, but the paper has it
     assert rows["CS-MPJPE"][2:] == ["0", "", "0", "5"]
     assert all(not row[3] for row in comparison_table(summary_of("freihand"))[1:])
+
+
+def test_a_metric_that_the_first_system_lacks_keeps_its_row() -> None:
+    """Named case: beside a first system without masks, the IoU of all others was left out; the order is theirs then."""
+    blind = predictions_for(lambda sample: replace(perfect_pose(sample), masks=None))
+    whole = predictions_for(perfect_pose)
+    systems = {"blind": (blind, compare(blind, SAMPLES)), "ours": (whole, compare(whole, SAMPLES))}
+    tables = [
+        comparison_table(summarise("ego3dhands", [(name, *systems[name]) for name in names], Protocol()))
+        for names in (("blind", "ours"), ("ours", "blind"))
+    ]
+    rows = [{row[0]: row for row in table} for table in tables]
+    assert rows[0].keys() == rows[1].keys()
+    assert rows[0]["mIoU (per image)"][2:] == ["n/a", "0.955 (static); 0.962 (dynamic)", "1", "0 / 4"]
+    assert [row[0] for row in tables[1]] == [row[0] for row in comparison_table(summary_of())]
+
+
+def test_fewer_images_of_the_budget_are_told_of_in_every_report() -> None:
+    """Named case: only the page of results said so."""
+    errors = dict.fromkeys((*BUDGET_COLUMNS, "missed"), 0.0)
+    row = {
+        "study": "s", "estimated": "nothing", "stage": "global", "against": None,
+        "metrics": {"fitted": errors, "keybone": errors},
+    }  # fmt: skip
+    for images, told in ((2, 1), (4, 0)):
+        summary = replace(summary_of(), budget={"images": images, "rows": [row]})
+        for text in (summary.to_markdown(), results_page([summary])):
+            assert text.count("Over the first 2 images.") == told and text.count(BUDGET_TEXT) == 1
+
+
+def test_common_hands_have_a_range() -> None:
+    """A system without any range leaves none, and the heading says what is asked for."""
+    predictions = predictions_for(perfect_pose)
+    flat = predictions_for(
+        lambda sample: replace(
+            perfect_pose(sample),
+            left=replace(perfect_pose(sample).left, valid=False),
+            right=replace(perfect_pose(sample).right, valid=False),
+        )
+    )
+    ours, unplaced = (("a", p, compare(p, SAMPLES)) for p in (predictions, flat))
+    assert summarise("stb", [ours, unplaced], Protocol()).common_table() == []
+    both = summarise("stb", [ours, ("b", *ours[1:])], Protocol())
+    for text in (both.to_markdown(), results_page([both])):
+        assert "# Over the hands that every system found, with a range\n" in text
 
 
 def test_sweep_by_hand() -> None:

@@ -7,7 +7,7 @@ import pytest
 from tests.evaluation.test_protocols import SAMPLES, perfect_pose, predictions_for
 
 from twohands.evaluation.comparison import Protocol, compare
-from twohands.evaluation.summary import is_number, markdown_table, summarise
+from twohands.evaluation.summary import BUDGET_COLUMNS, is_number, markdown_table, summarise
 from twohands.skeleton import LEFT, RIGHT
 from twohands.types import HandPose, HandSample, TwoHandPose
 from twohands.visualization.evaluation_page import Case, case_picture, render_page, typical_images, worst_hands
@@ -86,6 +86,17 @@ def test_page_and_markdown_with_two_systems() -> None:
     assert float(cells[3]) == pytest.approx(5)  # left (30 + 0 + 0) / 3, right 0: mean 5
     assert cells[4:6] == ["n/a", "4 / 0"]
     assert summary.common_table() == []  # no hand was found by both
+
+
+def test_fewer_images_of_the_budget_are_told_of_in_the_page() -> None:
+    errors = dict.fromkeys((*BUDGET_COLUMNS, "missed"), 0.0)
+    row = {"study": "s", "estimated": "nothing", "stage": "global", "against": None}
+    predictions = predictions_for(system)
+    summary = summarise("stb", [("a", predictions, COMPARISON)], Protocol())
+    for images, told in ((2, 1), (4, 0)):
+        rows = [row | {"metrics": {"fitted": errors, "keybone": errors}}]
+        page = render_page(replace(summary, budget={"images": images, "rows": rows}), [], [])
+        assert page.count("<p>Over the first 2 images.</p>") == told and page.count("<h2>Error budget</h2>") == 1
 
 
 def test_common_hands() -> None:

@@ -28,7 +28,7 @@ def number_array(values: Any, shape: tuple[int, ...], what: str) -> np.ndarray:
     """
     try:
         array = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise DataFormatError(f"{what}: expected an array of numbers of shape {shape}") from None
     if array.shape != shape or not np.isfinite(array).all():
         raise DataFormatError(f"{what}: expected finite numbers of shape {shape}, got shape {array.shape}")

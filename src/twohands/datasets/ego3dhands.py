@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 
 from twohands import ego3dhands_format as fmt
+from twohands.datasets.files import TO_RGB, decode_picture
 from twohands.datasets.manifest import expected_hand_length_m
 from twohands.errors import DataFormatError, InputError
 from twohands.types import HandSample, PinholeCamera
@@ -265,7 +266,7 @@ def _camera(files: Mapping[str, bytes], width: int, height: int) -> PinholeCamer
         values = json.loads(files[fmt.CAMERA_FILE])
         fx, fy, cx, cy = (float(values[name]) for name in ("fx", "fy", "cx", "cy"))
         return PinholeCamera(fx, fy, cx, cy, width, height)
-    except (ValueError, KeyError, TypeError, InputError) as error:
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError, InputError) as error:
         raise DataFormatError(f"{fmt.CAMERA_FILE}: fx, fy, cx and cy expected ({error})") from None
 
 
@@ -274,25 +275,24 @@ def decode_png(data: bytes, channels: int, where: str) -> np.ndarray:
 
     Args:
         data: the file's content.
-        channels: 3 for RGB, 4 for RGBA.
+        channels: 1 for grey, 3 for RGB, 4 for RGBA.
         where: the file's name, for messages.
 
     Returns:
-        (H, W, channels) uint8.
+        (H, W, channels) uint8, or (H, W) for one channel.
 
     Raises:
         DataFormatError: the file is empty, cut off, not a PNG, not 8-bit, or has other channels.
     """
     if not data.endswith(_PNG_END):  # the decoder would fill the rest of a cut-off picture without a word
         raise DataFormatError(f"{where}: {'zero bytes' if not data else 'not a complete PNG file'}")
-    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    pixels = decode_picture(data)
     if pixels is None:
         raise DataFormatError(f"{where}: not a PNG file that can be decoded")
     found = pixels.shape[2] if pixels.ndim == 3 else 1
     if pixels.dtype != np.uint8 or found != channels:
         raise DataFormatError(f"{where}: expected {channels} channels of 8 bits, got {found} of {pixels.dtype}")
-    order = cv2.COLOR_BGR2RGB if channels == 3 else cv2.COLOR_BGRA2RGBA
-    return cv2.cvtColor(pixels, order)
+    return pixels if channels == 1 else cv2.cvtColor(pixels, TO_RGB[channels])
 
 
 def _png_size(data: bytes, where: str) -> tuple[int, int]:
@@ -341,7 +341,7 @@ def _natural_key(path: Path, root: Path) -> tuple[tuple[tuple[bool, int, str], .
     """Sorts digits by value, and text before digits never compares with a number."""
     return tuple(
         tuple(
-            (not piece.isdigit(), int(piece) if piece.isdigit() else 0, piece)
+            (not piece.isdecimal(), int(piece) if piece.isdecimal() else 0, piece)
             for piece in re.split(r"(\d+)", part)
             if piece
         )

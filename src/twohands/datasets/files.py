@@ -14,7 +14,8 @@ from twohands.errors import DataFormatError, InputError
 
 _ENDS = {".png": b"IEND\xaeB`\x82", ".jpg": b"\xff\xd9"}
 """Last bytes of every complete file: PNG's closing chunk with its checksum, JPEG's end-of-image marker."""
-_TO_RGB = {3: cv2.COLOR_BGR2RGB, 4: cv2.COLOR_BGRA2RGBA}
+TO_RGB = {3: cv2.COLOR_BGR2RGB, 4: cv2.COLOR_BGRA2RGBA}
+"""OpenCV's conversion of what it decodes, by the number of channels."""
 
 
 def existing_folder(path: str | os.PathLike[str]) -> Path:
@@ -56,7 +57,7 @@ def read_json(path: Path, kind: type) -> Any:
     """
     try:
         content = json.loads(read_bytes(path))
-    except ValueError as error:  # JSONDecodeError and UnicodeDecodeError
+    except (ValueError, RecursionError) as error:  # ValueError: JSONDecodeError and UnicodeDecodeError
         raise DataFormatError(f"{path}: not a complete JSON file ({reason(error)})") from None
     if not isinstance(content, kind):
         raise DataFormatError(f"{path}: expected a JSON {kind.__name__}, got a {type(content).__name__}")
@@ -81,13 +82,25 @@ def read_picture(path: Path, channels: int = 3) -> np.ndarray:
     data = read_bytes(path)
     if not data.rstrip(b"\0").endswith(_ENDS[path.suffix]):  # the decoder would make up the rest without a word
         raise DataFormatError(f"{path}: not a complete {path.suffix[1:].upper()} file")
-    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    pixels = decode_picture(data)
     if pixels is None:
         raise DataFormatError(f"{path}: not a {path.suffix[1:].upper()} file that can be decoded")
     found = pixels.shape[2] if pixels.ndim == 3 else 1
     if pixels.dtype != np.uint8 or found != channels:
         raise DataFormatError(f"{path}: expected {channels} channels of 8 bits, got {found} of {pixels.dtype}")
-    return pixels if channels == 1 else cv2.cvtColor(pixels, _TO_RGB[channels])
+    return pixels if channels == 1 else cv2.cvtColor(pixels, TO_RGB[channels])
+
+
+def decode_picture(data: bytes) -> np.ndarray | None:
+    """Pixels of a picture as OpenCV has them, of its own depth and channels; None where it cannot be decoded.
+
+    Args:
+        data: the file's content, at least one byte.
+    """
+    try:
+        return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:  # its header says more pixels than OpenCV takes, or than there is memory for
+        return None
 
 
 def reason(error: BaseException) -> str:

@@ -110,6 +110,7 @@ def inspect_dataset(
             problems.extend(Problem(source, message) for message in _hash_problems(source, files, listed))
             instance = dataset.instance(index)
             rgba = _rgba(instance, files)
+            amodal = _amodal(instance, files)
         except DataFormatError as error:
             problems.append(Problem(source, str(error)))
         else:
@@ -121,7 +122,7 @@ def inspect_dataset(
             reprojection.append(reprojection_errors_px(instance))
             gaps.append(surface_gaps_m(instance))
             alpha = None if rgba is None else rgba[..., 3]
-            found = instance_problems(instance, alpha, hand_length_m, _amodal(instance, files))
+            found = instance_problems(instance, alpha, hand_length_m, amodal)
             problems.extend(Problem(source, message) for message in found)
             measurements.add(instance)
         if on_progress is not None:
@@ -268,13 +269,14 @@ def _amodal(instance: Ego3DHandsInstance, files: Mapping[str, bytes]) -> np.ndar
     """(2, H, W) bool of `gt_amodal.png`, where there is one.
 
     Raises:
-        DataFormatError: it is no picture, or not of the image's size.
+        DataFormatError: it is damaged, or not of the image's size.
     """
     if fmt.AMODAL_FILE not in files:
         return None
-    pixels = cv2.imdecode(np.frombuffer(files[fmt.AMODAL_FILE], np.uint8), cv2.IMREAD_GRAYSCALE)
-    if pixels is None or pixels.shape != instance.image.shape[:2]:
-        raise DataFormatError(f"{instance.path / fmt.AMODAL_FILE}: damaged, or not of the image's size")
+    where = str(instance.path / fmt.AMODAL_FILE)
+    pixels = decode_png(files[fmt.AMODAL_FILE], 1, where)
+    if pixels.shape != instance.image.shape[:2]:
+        raise DataFormatError(f"{where}: expected the image's size {instance.image.shape[:2]}, got {pixels.shape}")
     return np.stack([np.bitwise_and(pixels, 1 << side) > 0 for side in (LEFT, RIGHT)])
 
 

@@ -12,11 +12,12 @@ from twohands.instance_index import INDEX_FILE, MANIFEST_FILE, IndexEntry, parse
 
 
 def read_manifest(root: Path) -> dict[str, Any]:
-    """The manifest of a set, or of the set that holds this instance; empty where there is none, or it is damaged."""
-    for folder in (root, root.parent):
+    """The manifest of a set, or of the set that holds this instance or sequence of instances, which lies one or two
+    levels above; empty where there is none, or it is damaged."""
+    for folder in (root, *root.absolute().parents[:2]):
         try:
             content = json.loads((folder / MANIFEST_FILE).read_text(encoding="utf-8"))
-        except (OSError, ValueError):
+        except (OSError, ValueError, RecursionError):
             continue
         if isinstance(content, dict) and isinstance(content.get("config"), dict):
             return content

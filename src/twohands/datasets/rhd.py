@@ -16,7 +16,10 @@ from __future__ import annotations
 import io
 import os
 import pickle
+import re
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final, Literal, get_args
 
 import numpy as np
@@ -85,7 +88,7 @@ class RHD:
         what = f"{self._path}, entry {number}"
         try:
             xyz, uv_vis, k = (self._annotations[number][key] for key in ("xyz", "uv_vis", "K"))
-        except (KeyError, TypeError):
+        except (KeyError, TypeError, IndexError):
             raise DataFormatError(f"{what}: expected xyz, uv_vis and K") from None
         joints_m = _in_our_order(number_array(xyz, (2 * N_JOINTS, 3), f"{what}, xyz"))
         joints = _in_our_order(number_array(uv_vis, (2 * N_JOINTS, 3), f"{what}, uv_vis"))  # u, v, visible
@@ -156,17 +159,18 @@ def read_number_pickle(path: Path) -> Any:
     """Reads a pickle of numpy arrays in plain containers, and nothing else.
 
     A pickle is a program: it may name any function and have it called, so `pickle.load` on a downloaded file hands the
-    machine to whoever wrote that file. This reader resolves only the names that numpy writes for its arrays and
-    scalars, and refuses the file at the first other name; dictionaries, lists, numbers and texts need no name.
+    machine to whoever wrote that file. This reader knows only the names that numpy writes for its arrays and scalars,
+    has functions of its own for them, and refuses the file at the first other name; dictionaries, lists, numbers and
+    texts need no name.
 
     Args:
         path: the file, of any pickle protocol, written by Python 2 or 3.
 
     Returns:
-        Its content.
+        Its content; its arrays are objects of which `np.asarray` makes arrays.
 
     Raises:
-        DataFormatError: the file is missing, cut off, not a pickle, or names anything else.
+        DataFormatError: the file is missing, cut off, not a pickle, or holds or names anything else.
     """
     try:
         return _NumberUnpickler(io.BytesIO(read_bytes(path)), encoding="latin1").load()
@@ -182,19 +186,70 @@ def _in_our_order(values: np.ndarray) -> np.ndarray:
 
 
 class _NumberUnpickler(pickle.Unpickler):
-    _ALLOWED: Final = {
-        *((f"numpy.{core}.multiarray", name) for core in ("core", "_core") for name in ("_reconstruct", "scalar")),
-        *((f"numpy.{core}.numeric", "_frombuffer") for core in ("core", "_core")),
-        ("numpy", "ndarray"),
-        ("numpy", "dtype"),
-    }
+    """Gives every name that numpy writes for numbers a stand-in: numpy's own dtype takes a state that makes objects of
+    raw bytes."""
 
     def find_class(self, module_name: str, global_name: str, /) -> Any:
-        if (module_name, global_name) == ("_codecs", "encode"):
-            return _latin1_bytes
-        if (module_name, global_name) not in self._ALLOWED:
-            raise pickle.UnpicklingError(f"it names {module_name}.{global_name}, which is no array of numbers")
-        return super().find_class(module_name, global_name)
+        try:
+            return _STAND_INS[module_name, global_name]
+        except KeyError:
+            raise pickle.UnpicklingError(
+                f"it names {module_name}.{global_name}, which is no array of numbers"
+            ) from None
+
+
+class _NumberType:
+    """Stands in for `numpy.dtype`: floats, integers and truth values of one size."""
+
+    def __init__(self, code: str, *_: Any) -> None:
+        if not re.fullmatch(r"[fiub]\d+", code):
+            raise pickle.UnpicklingError(f"it holds values of type {code!r}, not numbers")
+        self.dtype = np.dtype(code)
+
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
+        """(version, byte order, no sub-array, no field names, no fields, numbers that follow from the type)."""
+        order, *parts = state[1:5]
+        if order not in ("<", ">", "|", "=") or parts != [None] * 3:
+            raise pickle.UnpicklingError("it holds values of several parts, not numbers")
+        self.dtype = self.dtype.newbyteorder(order)
+
+
+class _NumberArray:
+    """Stands in for an array: numpy makes one of it wherever it takes one."""
+
+    _values: np.ndarray | None = None
+
+    def __setstate__(self, state: tuple[Any, ...]) -> None:
+        _, shape, kind, by_columns, data = state
+        self._values = _numbers(data, kind).reshape(shape, order="F" if by_columns else "C")
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        if self._values is None:
+            raise TypeError("an array without numbers")
+        return np.array(self._values, dtype) if copy else np.asarray(self._values, dtype)
+
+
+def _numbers(data: bytes | str, kind: _NumberType) -> np.ndarray:
+    """(N,) numbers of raw bytes, which Python 2 wrote as a text."""
+    return np.frombuffer(data.encode("latin1") if isinstance(data, str) else data, kind.dtype)
+
+
+def _new_array(*_: Any) -> _NumberArray:
+    """Stands in for `_reconstruct`: an array whose numbers follow as its state."""
+    return _NumberArray()
+
+
+def _array_of_buffer(data: bytes, kind: _NumberType, shape: tuple[int, ...], order: Literal["C", "F"]) -> _NumberArray:
+    """Stands in for `_frombuffer`, protocol 5's whole array."""
+    array = _NumberArray()
+    array.__setstate__((1, shape, kind, order == "F", data))
+    return array
+
+
+def _scalar(kind: _NumberType, data: bytes | str) -> Any:
+    """Stands in for `scalar`: one number."""
+    (number,) = _numbers(data, kind)
+    return number
 
 
 def _latin1_bytes(text: str, encoding: str) -> bytes:
@@ -202,3 +257,21 @@ def _latin1_bytes(text: str, encoding: str) -> bytes:
     if encoding != "latin1":
         raise pickle.UnpicklingError(f"expected bytes written as latin1, got {encoding}")
     return text.encode("latin1")
+
+
+_STAND_INS: Final[Mapping[tuple[str, str], Any]] = MappingProxyType(
+    {
+        ("numpy", "ndarray"): _NumberArray,
+        ("numpy", "dtype"): _NumberType,
+        ("_codecs", "encode"): _latin1_bytes,
+    }
+    | {
+        (f"numpy.{core}.{module}", name): stand_in
+        for core in ("core", "_core")
+        for module, name, stand_in in (
+            ("multiarray", "_reconstruct", _new_array),
+            ("multiarray", "scalar", _scalar),
+            ("numeric", "_frombuffer", _array_of_buffer),
+        )
+    }
+)

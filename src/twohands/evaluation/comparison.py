@@ -57,14 +57,17 @@ class Comparison:
         sources: (N,) names of the samples.
         present, found, valid: (N, 2) bool, labelled as present, predicted as present, predicted with a usable range.
         judged: (N, 2) bool, hands whose presence can be right or wrong.
+        boxed: (N, 2) bool, those of them whose box can be: absent, or labelled whole and partly in the picture.
         range_m: (N, 2) true distance of the root joint; NaN where unknown.
-        overlap: (N, 2) share of the hand's true box that the other hand's box covers, 0..1; NaN where unknown.
+        overlap: (N, 2) share of the box of the hand's labelled joints that the other hand's covers, 0..1; NaN where
+            unknown.
         visible_share: (N, 2) share of the hand's joints in view (`part_labels.visible_share`); NaN where unknown.
-        box_iou: (N, 2) overlap of predicted and true box; NaN without either.
+        box_iou: (N, 2) overlap of predicted box and that of the labelled joints; NaN without either.
         joints_px: (N, 2, 21) 2D error, pixels at a width of 480.
-        spherical_mm, cartesian_mm: (N, 2, 21) error of the canonical pose at the true hand length, by alignment.
+        spherical_mm, cartesian_mm: (N, 2, 21) error of the canonical pose at the true hand length, by alignment; NaN
+            where that length is unknown.
         procrustes_mm: (N, 2, 21) the same after the best similarity transform.
-        bones_mm: (N, 2, 20) bone length errors of the canonical pose at the true hand length.
+        bones_mm: (N, 2, 20) bone length errors of the canonical pose at the true hand length; NaN as above.
         camera_mm: (N, 2, 21) error in camera space without any alignment.
         root: (N, 2, 5) of `metrics.spherical_errors`: theta, phi, direction in degrees, range in m, range / true range.
         relative_root_mm: (N,) error of the vector between the hands.
@@ -77,6 +80,7 @@ class Comparison:
     found: m.BoolArray
     valid: m.BoolArray
     judged: m.BoolArray
+    boxed: m.BoolArray
     range_m: m.FloatArray
     overlap: m.FloatArray
     visible_share: m.FloatArray
@@ -117,6 +121,7 @@ class Comparison:
             found=self.found & keep,
             valid=self.valid & keep,
             judged=self.judged & keep,
+            boxed=self.boxed & keep,
             relative_root_mm=np.full(len(self), np.nan),
             intersections=np.empty((0, 3)),
             unions=np.empty((0, 3)),
@@ -130,6 +135,7 @@ _NOT_BY_HAND: Final = (
     "found",
     "valid",
     "judged",
+    "boxed",
     "relative_root_mm",
     "intersections",
     "unions",
@@ -180,6 +186,7 @@ class _Labels:
         self._predictions = predictions
         count = len(predictions)
         self.present = np.zeros((count, 2), np.bool_)
+        self.whole = np.zeros((count, 2), np.bool_)  # every joint labelled
         self.visible = np.ones((count, 2, 21), np.bool_)
         self.scale_2d = np.ones(count)
         self.joints_px = np.full((count, 2, 21, 2), np.nan)
@@ -195,6 +202,7 @@ class _Labels:
         self.sizes_px[index] = sample.camera.width, sample.camera.height
         known = sample.valid & sample.present[:, None]  # (2, 21)
         self.joints_px[index] = np.where(known[..., None], sample.joints_px, np.nan)
+        self.whole[index] = np.isfinite(self.joints_px[index]).all(axis=(1, 2))
         boxes_px = box_in_picture(self.joints_px[index], sample.camera.width, sample.camera.height)
         self.boxes_px[index] = np.asarray(boxes_px)
         self.joints_m[index] = np.where(known[..., None], sample.joints_m, np.nan)
@@ -221,18 +229,21 @@ def _comparison(predictions: Predictions, truth: _Labels, protocol: Protocol) ->
     length = np.linalg.norm(truth.joints_m[..., WRIST, :] - truth.joints_m[..., ROOT, :], axis=-1)  # (N, 2)
     scaled_mm = 1e3 * length[..., None, None] * predictions.canonical
     true_mm = 1e3 * truth.joints_m
+    sized_mm = np.where(np.isfinite(length)[..., None, None], true_mm, np.nan)  # no length, no canonical pose in mm
     true_roots, roots = truth.joints_m[:, :, ROOT], predictions.joints_m[:, :, ROOT]
     spherical_mm, cartesian_mm = (
         joints(
             by_hand(
                 m.endpoint_errors,
                 1e3 * np.asarray(align(predictions.canonical, length, truth.joints_m)),
-                true_mm,
+                sized_mm,
                 found,
             )
         )
         for align in (spherical_alignment, cartesian_alignment)
     )
+    judged = truth.present | protocol.all_hands_labelled
+    overlap = covered_share(truth.boxes_px)
     limits_px = np.tile(truth.sizes_px[:, None], 2)  # (N, 1, 4)
     within_picture = np.minimum(np.maximum(predictions.box_px.astype(np.float64), 0.0), limits_px)
     pairs = [np.array(arrays) for arrays in zip(*truth.overlaps, strict=True)] or [np.empty((0, 3))] * 2
@@ -241,16 +252,17 @@ def _comparison(predictions: Predictions, truth: _Labels, protocol: Protocol) ->
         present=truth.present,
         found=found,
         valid=valid,
-        judged=truth.present | protocol.all_hands_labelled,
+        judged=judged,
+        boxed=judged & (~truth.present | (truth.whole & ~np.isnan(overlap))),
         range_m=np.linalg.norm(true_roots, axis=-1),
-        overlap=covered_share(truth.boxes_px),
+        overlap=overlap,
         visible_share=truth.visible_share,
         box_iou=np.asarray(box_iou(within_picture, truth.boxes_px)),
         joints_px=joints(by_hand(m.endpoint_errors, predictions.joints_px * scale, truth.joints_px * scale, found)),
         spherical_mm=spherical_mm,
         cartesian_mm=cartesian_mm,
         procrustes_mm=joints(by_hand(m.procrustes_errors, scaled_mm, true_mm, found)),
-        bones_mm=by_hand(m.bone_length_errors, scaled_mm, true_mm, found),
+        bones_mm=by_hand(m.bone_length_errors, scaled_mm, sized_mm, found),
         camera_mm=joints(by_hand(m.endpoint_errors, 1e3 * predictions.joints_m, true_mm, valid)),
         root=by_hand(m.spherical_errors, roots, true_roots, valid),
         relative_root_mm=1e3 * m.relative_root_errors(roots, true_roots, valid),

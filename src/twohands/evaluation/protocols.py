@@ -78,11 +78,11 @@ def metrics_of(comparison: Comparison) -> tuple[Metric, ...]:
 
 def _detection_metrics(c: Comparison) -> list[Metric]:
     right_box = m.box_correct(c.box_iou, c.found, c.present)
-    boxed = c.judged & ~(c.present & np.isnan(c.overlap))  # a hand that is not labelled whole has no box
     every = "all hands whose presence is known"
+    boxed = f"{every}, and the box of those present"
     return [
         _count("presence_accuracy", "presence accuracy", c.found == c.present, c.judged, every, share=True),
-        _count("box_accuracy", "box accuracy (IoU > 0.5)", right_box, boxed, every, share=True),
+        _count("box_accuracy", "box accuracy (IoU > 0.5)", right_box, c.boxed, boxed, share=True),
         _count("missed", "hands missed", ~c.found, c.present, "sum over hands present"),
         _count("false", "hands found that are not there", c.found, c.judged & ~c.present, "sum over hands absent"),
     ]

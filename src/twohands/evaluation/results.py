@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from twohands.evaluation.published import GENERATED_CAVEAT, Published
 from twohands.evaluation.report import format_number
-from twohands.evaluation.summary import BUDGET_TEXT, HEADLINE, Summary, Table, markdown_table
+from twohands.evaluation.summary import COMMON_TITLE, HEADLINE, Summary, Table, markdown_table
 
 SWEEP_COLUMNS: Final = (
     ("range_mean", "range, mean (cm)", min),
@@ -50,16 +50,11 @@ def results_page(
 
 def comparison_table(summary: Summary) -> Table:
     """Metric by system with the paper's printed numbers behind the first: ours, paper, others."""
-    head, *rows = summary.headline_table()
-    by_name = {row[0]: row for row in rows}
-    keys = [metric.key for metric in summary.systems[0].report.metrics]
-    names = {metric.key: metric.name for metric in summary.systems[0].report.metrics}
     own = [number for number in summary.published if number.system.startswith("paper")]
-    shown = [key for key in keys if key in HEADLINE or any(number.metric == key for number in own)]
-    full = {row[0]: row for row in summary.full_table()[1:]}
+    shown = [key for key in summary.metric_keys() if key in HEADLINE or any(number.metric == key for number in own)]
+    head, *rows = summary.metrics_table(shown)
     table: Table = [[*head[:3], "paper", *head[3:]]]
-    for key in shown:
-        row = by_name.get(names[key]) or full[names[key]]
+    for key, row in zip(shown, rows, strict=True):
         table.append([*row[:3], _printed([number for number in own if number.metric == key]), *row[3:]])
     return table
 
@@ -101,20 +96,18 @@ def _dataset(summary: Summary) -> list[str]:
         table += [[number.system, name, f"{number.printed} {number.unit}".strip()] for name, number in others]
         lines += [*markdown_table(table), ""]
     if table := summary.common_table():
-        lines += ["### Over the hands that every system found", "", *markdown_table(table), ""]
+        lines += [f"### {COMMON_TITLE}", "", *markdown_table(table), ""]
     if tables := summary.budget_tables():
-        lines += ["### Error budget", "", BUDGET_TEXT, "", *_budget_size(summary), *markdown_table(tables[0]), ""]
+        lines += ["### Error budget", ""]
+        for text in summary.budget_texts():
+            lines += [text, ""]
+        lines += [*markdown_table(tables[0]), ""]
         lines += ["What each stage costs (fitted):", "", *markdown_table(tables[1]), ""]
     for title, table in summary.part_tables():
         lines += [f"### {title}", "", *markdown_table(table), ""]
     commands = [system.command for system in summary.systems]
     commands += [str((summary.budget or {}).get("command", "")), summary.command]
     return [*lines, "### Commands", "", *_code("\n".join(c for c in commands if c))]
-
-
-def _budget_size(summary: Summary) -> list[str]:
-    images = (summary.budget or {}).get("images")
-    return [] if images == summary.systems[0].report.images else [f"Over the first {images} images.", ""]
 
 
 def _sweep(sweep: dict[str, Any]) -> list[str]:

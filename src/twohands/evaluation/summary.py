@@ -64,6 +64,8 @@ COMMON: Final = (
 )
 """Metrics of the table over hands that every system found: errors only, shares would say nothing."""
 
+COMMON_TITLE: Final = "Over the hands that every system found, with a range"
+
 
 @dataclass(frozen=True, slots=True)
 class SystemResult:
@@ -74,7 +76,7 @@ class SystemResult:
         report: all metrics.
         parts: the same by range, overlap, joints in view and side.
         curves: PCK.
-        common: the metrics over the hands that every system found; empty for a single system.
+        common: the metrics over the hands that every system found, with a range; empty for a single system.
         command: what made its predictions; "" where unknown.
     """
 
@@ -164,12 +166,12 @@ class Summary:
 
     def headline_table(self) -> Table:
         """Metric by system, the important ones."""
-        return self._metrics_table([key for key in HEADLINE if key in self._keys()])
+        return self.metrics_table([key for key in HEADLINE if key in self.metric_keys()])
 
     def common_table(self) -> Table:
-        """Errors over the hands that every system found: nobody gains by missing the difficult ones.
+        """Errors over the hands that every system found, with a range: nobody gains by missing the difficult ones.
 
-        Empty for a single system, and where no hand was found by all.
+        Empty for a single system, and where there is no such hand, as beside a system that gives no ranges at all.
         """
         found = [{metric.key: metric for metric in system.common} for system in self.systems]
         table: Table = [["metric", "unit", *(system.name for system in self.systems), "hands"]]
@@ -182,7 +184,7 @@ class Summary:
 
     def full_table(self) -> Table:
         """Metric by system, all of them."""
-        return self._metrics_table(self._keys())
+        return self.metrics_table(self.metric_keys())
 
     def published_table(self) -> Table:
         """The paper's numbers beside each system's; empty where the paper has none."""
@@ -227,6 +229,12 @@ class Summary:
         """The error budget's two tables: results, and what each stage costs; None without a budget."""
         return None if self.budget is None else (budget_results(self.budget), budget_costs(self.budget))
 
+    def budget_texts(self) -> list[str]:
+        """How to read the error budget, and how many images it is about where these are not all, a paragraph each."""
+        images = (self.budget or {}).get("images")
+        fewer = [] if images == self.systems[0].report.images else [f"Over the first {images} images."]
+        return [BUDGET_TEXT, *fewer]
+
     def to_markdown(self) -> str:
         """The whole report as one document."""
         first = self.systems[0].report
@@ -238,14 +246,17 @@ class Summary:
             lines += [f"> {note}", ""]
         lines += ["## Summary", "", *markdown_table(self.headline_table()), ""]
         if table := self.common_table():
-            lines += ["## Over the hands that every system found", "", *markdown_table(table), ""]
+            lines += [f"## {COMMON_TITLE}", "", *markdown_table(table), ""]
         if table := self.published_table():
             lines += ["## Beside published numbers", ""]
             if self.kind == "ego3dhands":
                 lines += [GENERATED_CAVEAT, ""]
             lines += [*markdown_table(table), ""]
         if tables := self.budget_tables():
-            lines += ["## Error budget", "", BUDGET_TEXT, "", *markdown_table(tables[0]), ""]
+            lines += ["## Error budget", ""]
+            for text in self.budget_texts():
+                lines += [text, ""]
+            lines += [*markdown_table(tables[0]), ""]
             lines += ["What each stage costs (fitted):", "", *markdown_table(tables[1]), ""]
         for title, table in self.part_tables():
             lines += [f"## {title}", "", *markdown_table(table), ""]
@@ -269,7 +280,8 @@ class Summary:
         text += [f"- {system.name}: {system.report.weights}" for system in self.systems]
         return text
 
-    def _keys(self) -> list[str]:
+    def metric_keys(self) -> list[str]:
+        """Keys of all metrics that any system has, those of the first system first."""
         keys: dict[str, None] = {}
         for system in self.systems:
             keys.update((metric.key, None) for metric in system.report.metrics)
@@ -283,7 +295,12 @@ class Summary:
                     return metric.name
         return key
 
-    def _metrics_table(self, keys: Sequence[str]) -> Table:
+    def metrics_table(self, keys: Sequence[str]) -> Table:
+        """Metric by system: name, unit, a value for each system, count.
+
+        Args:
+            keys: of metrics that at least one system has.
+        """
         table = [["metric", "unit", *(system.name for system in self.systems), "count"]]
         for key in keys:
             found = [metric for system in self.systems for metric in system.report.metrics if metric.key == key]
@@ -313,14 +330,14 @@ def summarise(
     notes: tuple[str, ...] = (),
 ) -> Summary:
     """Gathers the report of (name, predictions, comparison) of each system."""
-    found = np.all([comparison.present & comparison.valid for _, _, comparison in systems], axis=0)
+    placed = np.all([comparison.present & comparison.valid for _, _, comparison in systems], axis=0)
     results = tuple(
         SystemResult(
             name,
             report_of(predictions, comparison, protocol),
             breakdowns(comparison),
             pck_curves(comparison),
-            metrics_of(comparison.of_hands(found)) if len(systems) > 1 else (),
+            metrics_of(comparison.of_hands(placed)) if len(systems) > 1 else (),
             predictions.command,
         )
         for name, predictions, comparison in systems

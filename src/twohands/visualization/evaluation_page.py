@@ -21,7 +21,7 @@ from twohands.evaluation.comparison import Comparison
 from twohands.evaluation.curves import PANELS
 from twohands.evaluation.published import GENERATED_CAVEAT
 from twohands.evaluation.report import format_number
-from twohands.evaluation.summary import BUDGET_TEXT, Summary, Table, is_number
+from twohands.evaluation.summary import COMMON_TITLE, Summary, Table, is_number
 from twohands.skeleton import BONES, ROOT, SIDES
 from twohands.types import HandPose, HandSample, TwoHandPose
 from twohands.visualization.overlay import draw_overlay
@@ -163,7 +163,7 @@ def render_page(summary: Summary, typical: Sequence[Case], worst: Sequence[Case]
     parts += [f'<p class="note">{_text(note)}</p>' for note in summary.notes]
     parts.append(f"<h2>Summary</h2>{_table(summary.headline_table())}")
     if table := summary.common_table():
-        parts.append(f"<h2>Over the hands that every system found</h2>{_table(table)}")
+        parts.append(f"<h2>{COMMON_TITLE}</h2>{_table(table)}")
     parts.append(
         f"<h2>PCK curves</h2><figure>{_svg(draw_curves(summary))}<figcaption>{_CURVES_TEXT}</figcaption></figure>"
     )
@@ -171,7 +171,8 @@ def render_page(summary: Summary, typical: Sequence[Case], worst: Sequence[Case]
         caveat = f"<p>{_text(GENERATED_CAVEAT)}</p>" if summary.kind == "ego3dhands" else ""
         parts.append(f"<h2>Beside published numbers</h2>{caveat}{_table(table)}")
     if tables := summary.budget_tables():
-        parts.append(f"<h2>Error budget</h2><p>{_text(BUDGET_TEXT)}</p>{_table(tables[0])}")
+        about_it = "".join(f"<p>{_text(text)}</p>" for text in summary.budget_texts())
+        parts.append(f"<h2>Error budget</h2>{about_it}{_table(tables[0])}")
         parts.append(f"<h3>What each stage costs (fitted)</h3>{_table(tables[1])}")
     for title, table in summary.part_tables():
         parts.append(f"<h2>{_text(title)}</h2>{_PART_TEXT}{_table(table)}")
