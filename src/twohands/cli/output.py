@@ -55,6 +55,11 @@ def write_file(path: Path, content: bytes) -> None:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from error
 
 
+def page_bytes(page: str) -> bytes:
+    """UTF-8 of a page; bytes of file names that are no text are written as escapes, as on the terminal."""
+    return page.encode(errors="backslashreplace")
+
+
 def _umask() -> int:
     """The process's umask; mkstemp makes private files, results should be as readable as any other file."""
     mask = os.umask(0)

@@ -131,7 +131,7 @@ class Fingerprint:
 
     def add(self, sample: HandSample) -> None:
         """Takes in one more sample; its picture does not count."""
-        self._hash.update(sample.source.encode())
+        self._hash.update(sample.source.encode(errors="surrogateescape"))
         self._hash.update(np.asarray(sample.present, np.uint8).tobytes())
         for joints in (sample.joints_px, sample.joints_m):
             self._hash.update(np.ascontiguousarray(joints, dtype="<f8").tobytes())
