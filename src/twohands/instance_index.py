@@ -88,10 +88,26 @@ def parse_index(text: str) -> list[IndexEntry]:
     entries = []
     for number, line in enumerate(text.split("\n")[:-1], 1):
         try:
-            entries.append(IndexEntry(**json.loads(line)))
-        except (ValueError, TypeError):
+            entry = IndexEntry(**json.loads(line))
+            _check(entry)
+        except (ValueError, TypeError, RecursionError):
             raise DataFormatError(f"{INDEX_FILE} line {number}: not an entry: {line[:60]}") from None
+        entries.append(entry)
     return entries
+
+
+def _check(entry: IndexEntry) -> None:
+    """Raises TypeError for a field of another type, or ValueError for a number below 0 or a shard in another folder."""
+    for value in (entry.instance, entry.sha256, entry.shard or ""):
+        if not isinstance(value, str):
+            raise TypeError(f"text expected, got {value!r}")
+    for value in (entry.bytes, entry.offset or 0, entry.length or 0):
+        if not isinstance(value, int):
+            raise TypeError(f"an integer expected, got {value!r}")
+        if value < 0:
+            raise ValueError(f"a number of bytes expected, got {value}")
+    if "/" in (entry.shard or ""):
+        raise ValueError(f"a file's name expected, got {entry.shard}")
 
 
 def natural_order(entries: Iterable[IndexEntry]) -> list[IndexEntry]:

@@ -1,6 +1,7 @@
 """`twohands eval`: predict, score and run agree; stages can be replaced by ground truth."""
 
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -8,6 +9,8 @@ from tests.datasets import fakes
 from tests.oracles import write_tiny_weights
 
 from twohands.cli.main import main
+from twohands.errors import InputError
+from twohands.evaluation.summary import Summary
 
 ALL_STAGES = ["presence", "masks", "boxes", "joints-2d", "heatmaps", "canonical"]
 
@@ -189,11 +192,43 @@ def test_budget_of_the_first_images_and_results(data: Path, weights: Path, tmp_p
     assert main([*results, "--overwrite"]) == 0
 
 
+def test_names_that_are_no_text(data: Path, weights: Path, tmp_path: Path) -> None:
+    """Named case: a folder's name that is not UTF-8 ended every step with a traceback, after the work."""
+    (data / "0").rename(data / os.fsdecode(b"0\xfd"))
+    data, ours = data.rename(tmp_path / os.fsdecode(b"d\xff")), str(tmp_path / os.fsdecode(b"p\xfe.npz"))
+    budget, sweep, out = str(tmp_path / "b.json"), str(tmp_path / "s.json"), tmp_path / "report"
+    assert main(["eval", "predict", str(data), "--out", ours, "--weights", str(weights)]) == 0
+    assert main(["eval", "score", ours, str(data), "--report", str(tmp_path / "table.md")]) == 0
+    assert main(["eval", "budget", str(data), "--weights", str(weights), "--count", "1", "--out", budget]) == 0
+    report = ["eval", "report", str(data), "--predictions", ours, "--budget", budget, "--out", str(out)]
+    assert main([*report, "--note", os.fsdecode(b"n\xfc")]) == 0
+    assert main(["eval", "sweep", ours, str(data), "--lengths", "3", "--out", sweep]) == 0
+    results = str(tmp_path / "results.md")
+    assert main(["eval", "results", str(out / "report.json"), "--sweeps", sweep, "--out", results]) == 0
+    for page in (tmp_path / "table.md", out / "report.md", out / "report.html", tmp_path / "results.md"):
+        assert "d\\udcff" in page.read_text(encoding="utf-8"), page
+
+
+def test_a_report_that_cannot_be_rendered_leaves_nothing(
+    data: Path, weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Named case: report.json was written before report.md was made."""
+
+    def fail(_: Summary) -> str:
+        raise InputError("no page")
+
+    assert main(["eval", "predict", str(data), "--out", str(tmp_path / "p.npz"), "--weights", str(weights)]) == 0
+    monkeypatch.setattr(Summary, "to_markdown", fail)
+    out = tmp_path / "report"
+    assert main(["eval", "report", str(data), "--predictions", str(tmp_path / "p.npz"), "--out", str(out)]) == 2
+    assert not out.exists()
+
+
 def test_results_refuse_what_is_no_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = ["--out", str(tmp_path / "r.md")]
     assert main(["eval", "results", str(tmp_path / "none.json"), *out]) == 2
     assert "no such file" in capsys.readouterr().err
-    for text in ("{}", "[]", "nonsense", '{"version": 1}'):
+    for text in ("{}", "[]", "nonsense", '{"version": 1}', "[" * 200_000):
         (tmp_path / "r.json").write_text(text)
         assert main(["eval", "results", str(tmp_path / "r.json"), *out]) == 2
         assert "not a report.json of twohands eval report" in " ".join(capsys.readouterr().err.split())

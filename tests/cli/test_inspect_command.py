@@ -1,5 +1,6 @@
 """`twohands inspect` through the command line: table, contact sheet, exit codes."""
 
+import os
 from pathlib import Path
 
 import cv2
@@ -50,6 +51,14 @@ def test_a_name_that_looks_like_markup_is_printed_as_it_is(tmp_path, capsys, mon
     assert main(["inspect", "set[abc]"]) == 0
     printed = capsys.readouterr().out
     assert "dataset set[abc]" in printed and "out/inspect/set[abc]/report.html" in printed
+
+
+def test_a_name_that_is_no_text(tmp_path: Path) -> None:
+    """Named case: the page was a traceback, after the work."""
+    fakes.write_instance(tmp_path / "data" / "0")
+    data = (tmp_path / "data").rename(tmp_path / os.fsdecode(b"d\xff"))
+    assert main(["inspect", str(data), "--out", str(tmp_path / "out")]) == 0
+    assert "d\\udcff" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 
 
 def test_a_folder_that_cannot_be_made_is_noticed_before_the_work(tmp_path, capsys) -> None:

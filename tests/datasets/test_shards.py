@@ -1,6 +1,7 @@
 """Shards give the samples that folders give; what is damaged or not finished is named."""
 
 import io
+import json
 import shutil
 import tarfile
 from pathlib import Path
@@ -112,6 +113,39 @@ def test_damaged_and_unfinished_shards_are_named(sets, tmp_path):
     with pytest.raises(DataFormatError, match=r"shard-000000.tar: 00001 is not where"):
         dataset[1]
     assert {p.source for p in inspect_dataset(dataset).problems} >= {"00000", "00001"}
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("offset", -512), ("offset", "0"), ("offset", 0.5), ("length", [1]), ("length", -1), ("bytes", None),
+        ("shard", ["shard-000000.tar"]), ("shard", 3), ("shard", "/shard-000000.tar"), ("instance", 1), ("sha256", {}),
+    ],
+)  # fmt: skip
+def test_an_index_of_other_types_is_named(sets, tmp_path, field, value):
+    """Named cases: an offset before the shard and one in quotes were errors of the interpreter."""
+    shutil.copytree(sets[1], tmp_path / "set")
+    index = tmp_path / "set" / "index.jsonl"
+    first, second, *rest = index.read_text().splitlines(keepends=True)
+    index.write_text(first + json.dumps(json.loads(second) | {field: value}) + "\n" + "".join(rest))
+    with pytest.raises(DataFormatError, match=r"index\.jsonl line 2: not an entry"):
+        ShardedEgo3DHands(tmp_path / "set")
+    index.write_text(first + "[" * 200_000 + "\n")
+    with pytest.raises(DataFormatError, match=r"index\.jsonl line 2: not an entry"):
+        ShardedEgo3DHands(tmp_path / "set")
+
+
+def test_a_shard_that_is_gone_is_named(sets, tmp_path):
+    """Before the set is opened, as a link to nowhere, and after."""
+    shutil.copytree(sets[1], tmp_path / "set")
+    dataset = ShardedEgo3DHands(tmp_path / "set")
+    shard = tmp_path / "set" / "shard-000000.tar"
+    shard.unlink()
+    with pytest.raises(DataFormatError, match=r"shard-000000\.tar: cannot be read \(No such file"):
+        dataset[0]
+    assert {problem.source for problem in inspect_dataset(dataset).problems} == {"00000", "00001"}
+    shard.symlink_to("nowhere")
+    assert [path.name for path, _ in ShardedEgo3DHands(tmp_path / "set").skipped] == ["shard-000000.tar"]
 
 
 def test_bad_folders_are_named(sets, tmp_path):

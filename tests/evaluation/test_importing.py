@@ -130,6 +130,10 @@ def broken(change) -> dict[str, Any]:
             lambda c: c["images"][0]["left"]["joints_m"][3].__setitem__(0, float("nan")),
             "1 of 63 numbers are not finite",
         ),
+        (
+            lambda c: c["images"][0]["left"]["joints_m"][3].__setitem__(0, 10**400),
+            r"left hand: joints_m: numbers of shape \(21, 3\) expected",
+        ),
         (lambda c: c["images"][0]["left"].update(joints_m="far"), "left hand: joints_m: numbers of shape"),
         *(
             (lambda c, score=score: c["images"][0]["left"].update(score=score), "score: a number from 0 to 1 expected")
@@ -150,7 +154,7 @@ def test_what_is_wrong_is_named(tmp_path: Path, change, message: str) -> None:
 def test_files_that_are_none(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         read_foreign(tmp_path / "p.json")
-    for name, content in (("p.json", "{"), ("p.npz", "PK")):
+    for name, content in (("p.json", "{"), ("p.json", "[" * 200_000), ("p.npz", "PK")):
         (tmp_path / name).write_text(content)
         with pytest.raises(DataFormatError, match="not a"):
             read_foreign(tmp_path / name)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.datasets.facts import huge_png
 
 from twohands.errors import DataFormatError, InputError
 from twohands.evaluation.predictions import Predictions, load_predictions, predict, save_predictions
@@ -240,6 +241,45 @@ def test_damaged_files_are_refused(tmp_path: Path) -> None:
     np.savez(path, header=np.array(json.dumps({"version": 1})), present=np.zeros((1, 2), bool))
     with pytest.raises(DataFormatError, match="lacks box_px"):
         load_predictions(path)
+
+
+def test_files_of_other_types_are_refused(tmp_path: Path) -> None:
+    """Named cases: each came out as an error of the interpreter's or numpy's own, or later than here."""
+    path = tmp_path / "p.npz"
+    save_predictions(path, predictions_for())
+    with np.load(path) as archive:
+        whole = dict(archive)
+    header = json.loads(str(whole["header"]))
+    others = [
+        ("header", np.array("[]"), "header is no JSON object"),
+        *(
+            ("header", np.array(json.dumps({k: v for k, v in header.items() if k != name})), f"header .* lacks {name}")
+            for name in ("dataset", "dataset_id", "weights", "settings")
+        ),
+        ("header", np.array(json.dumps(header | {"settings": 3})), "settings, or it is no dict"),
+        ("present", whole["present"].astype(float), "present is float64 of shape"),
+        ("joints_m", whole["joints_m"].astype(str), "joints_m is <U.* expected kind 'f'"),
+        ("joints_m", whole["joints_m"][:2], r"joints_m .* expected kind 'f' of shape \(4, 2, 21, 3\)"),
+        ("sources", np.array("one"), r"sources is <U3 of shape \(\)"),
+        ("sources", np.arange(4), "sources is int64"),
+        ("masks_end", whole["masks_end"][None], r"masks_end is int64 of shape \(1, 4\)"),
+        ("masks_end", whole["masks_end"].astype(float), "masks_end is float64"),
+        ("masks_end", whole["masks_end"][:3], "masks of the predictions file are damaged"),
+    ]
+    for name, values, message in others:
+        np.savez(path, **whole | {name: values})
+        with pytest.raises(DataFormatError, match=rf"p\.npz: .*{message}") as caught:
+            load_predictions(path)
+        assert "\n" not in str(caught.value)
+    np.savez(path, **whole)
+    assert len(load_predictions(path)) == 4
+
+
+def test_a_mask_that_says_to_be_huge_is_named() -> None:
+    predictions = predictions_for()
+    masks = (huge_png(predictions.masks_png[0]), *predictions.masks_png[1:])
+    with pytest.raises(DataFormatError, match="a mask of the predictions file is damaged"):
+        replace(predictions, masks_png=masks).mask(0)
 
 
 def test_other_data_is_refused() -> None:

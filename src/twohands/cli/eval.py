@@ -23,7 +23,7 @@ from rich.progress import track
 from rich.table import Table
 from rich.text import Text
 
-from twohands.cli.output import check_output_folder, write_file
+from twohands.cli.output import check_output_folder, page_bytes, write_file
 from twohands.datasets.base import HandDataset
 from twohands.datasets.opening import DatasetOptions, OpenedDataset, open_dataset
 from twohands.datasets.read_ahead import read_ahead
@@ -294,7 +294,7 @@ def _run_score(args: Score | Run) -> int:
             if args.report.suffix == ".json"
             else report.to_markdown()
         )
-        write_file(args.report, text.encode())
+        write_file(args.report, page_bytes(text))
         print(f"report written to {args.report}")
     return 0
 
@@ -421,7 +421,7 @@ def _run_results(args: Results) -> int:
         raise InputError("at least one report.json is needed")
     sweeps = [_read_json(path, _checked_sweep, "a sweep of twohands eval sweep") for path in args.sweeps]
     page = results_page(summaries, sweeps, command=_command(), notes=args.note)
-    write_file(args.out, page.encode())
+    write_file(args.out, page_bytes(page))
     print(f"{len(summaries)} reports and {len(sweeps)} sweeps set out in {args.out}")
     return 0
 
@@ -440,15 +440,19 @@ def _read_json(path: Path, read: Callable[[dict[str, Any]], Read], what: str) ->
         raise InputError(f"{path}: no such file")
     try:
         return read(json.loads(path.read_text(encoding="utf-8")))
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, StopIteration) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, StopIteration, RecursionError) as error:
         reason = f" ({error})" if isinstance(error, ValueError) else ""
         raise DataFormatError(f"{path}: not {what}{reason}") from None
 
 
 def _write_report(args: Report, summary: Summary, page: str) -> None:
-    write_file(args.out / "report.json", json.dumps(summary.to_dict(), indent=1, allow_nan=False).encode())
-    write_file(args.out / "report.md", summary.to_markdown().encode())
-    write_file(args.out / "report.html", page.encode())
+    files = {
+        "report.json": json.dumps(summary.to_dict(), indent=1, allow_nan=False).encode(),
+        "report.md": page_bytes(summary.to_markdown()),
+        "report.html": page_bytes(page),
+    }
+    for name, content in files.items():
+        write_file(args.out / name, content)
     print(f"report.json, report.md and report.html written to {args.out}")
 
 

@@ -19,7 +19,7 @@ from rich.markup import escape
 from rich.progress import Progress
 from rich.table import Table
 
-from twohands.cli.output import check_output_folder, write_file
+from twohands.cli.output import check_output_folder, page_bytes, write_file
 from twohands.datasets.contact_sheet import contact_sheet
 from twohands.datasets.ego3dhands import Ego3DHands
 from twohands.datasets.inspect import DatasetReport, inspect_dataset
@@ -67,7 +67,7 @@ def run(args: InspectArgs) -> int:
         picture = cv2.imencode(".png", cv2.cvtColor(sheets[0], cv2.COLOR_RGB2BGR))[1].tobytes()
         write_file(out / SHEET_NAME, picture)
         console.print(f"contact sheet written to {escape(str(out / SHEET_NAME))}", soft_wrap=True, highlight=False)
-    write_file(out / PAGE_NAME, dataset_page(reports, sheets).encode())
+    write_file(out / PAGE_NAME, page_bytes(dataset_page(reports, sheets)))
     console.print(f"report written to {escape(str(out / PAGE_NAME))}", soft_wrap=True, highlight=False)
     return EXIT_PROBLEMS if any(report.problems for report in reports) else 0
 

@@ -54,3 +54,8 @@ def write_file(path: Path, content: bytes) -> None:
             raise
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def page_bytes(page: str) -> bytes:
+    """UTF-8 of a page; bytes of file names that are no text are written as escapes, as on the terminal."""
+    return page.encode(errors="backslashreplace")

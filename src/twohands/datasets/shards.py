@@ -48,7 +48,7 @@ class ShardedEgo3DHands:
     def __init__(self, root: str | os.PathLike[str]) -> None:
         self.root = existing_folder(root)
         self.hand_length_m = expected_hand_length_m(self.root) or fmt.HAND_LENGTH_M
-        sizes = {path.name: path.stat().st_size for path in self.root.glob(SHARD_PATTERN)}
+        sizes = {path.name: path.stat().st_size for path in self.root.glob(SHARD_PATTERN) if path.is_file()}
         try:
             entries = parse_index((self.root / INDEX_FILE).read_text(encoding="utf-8"))
         except (OSError, UnicodeDecodeError) as error:
@@ -97,12 +97,16 @@ class ShardedEgo3DHands:
         """The files of an instance, by name.
 
         Raises:
-            DataFormatError: they are not where the index says.
+            DataFormatError: the shard cannot be read, or they are not where the index says.
         """
         entry = self.entries[index]
-        with (self.root / str(entry.shard)).open("rb") as file:
-            file.seek(entry.offset or 0)
-            data = file.read(entry.length or 0)
+        shard = self.root / str(entry.shard)
+        try:
+            with shard.open("rb") as file:
+                file.seek(entry.offset or 0)
+                data = file.read(entry.length or 0)
+        except OSError as error:
+            raise DataFormatError(f"{shard}: cannot be read ({error.strerror})") from None
         files: dict[str, bytes] = {}
         try:
             with tarfile.open(fileobj=BytesIO(data), mode="r:") as tar:
@@ -112,9 +116,9 @@ class ShardedEgo3DHands:
                     if name == entry.instance and content is not None:
                         files[file_name] = content.read()
         except tarfile.TarError as error:
-            raise DataFormatError(f"{self.root / str(entry.shard)}: {entry.instance} is damaged ({error})") from None
+            raise DataFormatError(f"{shard}: {entry.instance} is damaged ({error})") from None
         if not files:
-            raise DataFormatError(f"{self.root / str(entry.shard)}: {entry.instance} is not where {INDEX_FILE} says")
+            raise DataFormatError(f"{shard}: {entry.instance} is not where {INDEX_FILE} says")
         return files
 
     def source(self, index: int) -> str:

@@ -118,7 +118,7 @@ def unit_pose(joints: FloatArray) -> FloatArray:
 def _array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
     try:
         array = np.asarray(values, np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise DataFormatError(f"{name}: numbers of shape {shape} expected") from None
     if array.shape != shape:
         raise DataFormatError(f"{name}: shape {shape} expected, got {array.shape}")

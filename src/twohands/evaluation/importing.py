@@ -130,7 +130,7 @@ def _hand(
 def _read_json(path: Path) -> ForeignPredictions:
     try:
         content: Any = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise DataFormatError(f"{path}: not a readable JSON file ({error})") from None
     top = _object(content)
     if top is None or not isinstance(top.get("images"), list):

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import cv2
 import numpy as np
@@ -38,6 +38,10 @@ _ARRAYS: Final = {
     "joints_m": ((N_JOINTS, 3), np.float64),
 }
 """Per hand: shape behind (N, 2), and type."""
+_PACKED: Final = {"sources": "U", "masks_png": "u", "masks_end": "i"}
+"""Further arrays of a file, of one axis, and their kind of type."""
+_HEADER: Final = {"dataset": str, "dataset_id": str, "weights": str, "settings": dict}
+"""What a file's header holds beside version and command."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +135,7 @@ class Fingerprint:
 
     def add(self, sample: HandSample) -> None:
         """Takes in one more sample; its picture does not count."""
-        self._hash.update(sample.source.encode())
+        self._hash.update(sample.source.encode(errors="surrogateescape"))
         self._hash.update(np.asarray(sample.present, np.uint8).tobytes())
         for joints in (sample.joints_px, sample.joints_m):
             self._hash.update(np.ascontiguousarray(joints, dtype="<f8").tobytes())
@@ -199,9 +203,7 @@ def save_predictions(path: str | os.PathLike[str], predictions: Predictions, *, 
         InputError: the file exists, cannot be written, or its name does not end in .npz.
     """
     target = check_predictions_path(path, overwrite=overwrite)
-    header = {"version": VERSION} | {
-        name: getattr(predictions, name) for name in ("dataset", "dataset_id", "weights", "settings", "command")
-    }
+    header = {"version": VERSION} | {name: getattr(predictions, name) for name in (*_HEADER, "command")}
     temporary = target.with_name(f".{target.name}.{os.getpid()}")
     try:
         with temporary.open("wb") as file:
@@ -249,24 +251,38 @@ def load_predictions(path: str | os.PathLike[str]) -> Predictions:
     try:
         with np.load(path, allow_pickle=False) as archive:
             stored: dict[str, Any] = {name: archive[name] for name in archive.files}
-        header: dict[str, Any] = json.loads(str(stored["header"]))
+        content: Any = json.loads(str(stored["header"]))
     except Exception as error:  # a damaged archive fails in many ways
         raise DataFormatError(f"{path}: not a complete predictions file ({error})") from None
+    if not isinstance(content, dict):
+        raise DataFormatError(f"{path}: not a complete predictions file (its header is no JSON object)")
+    header = cast("dict[str, Any]", content)
     if header.get("version") != VERSION:
         raise DataFormatError(f"{path}: expected predictions of version {VERSION}, got {header.get('version')}")
-    wanted = {"sources", "masks_png", "masks_end", *_ARRAYS}
-    if missing := sorted(wanted - stored.keys()):
+    if missing := sorted((_ARRAYS.keys() | _PACKED.keys()) - stored.keys()):
         raise DataFormatError(f"{path}: predictions file lacks {', '.join(missing)}")
-    count = len(stored["sources"])
-    for name, (shape, _) in _ARRAYS.items():
-        if stored[name].shape != (count, 2, *shape):
-            raise DataFormatError(f"{path}: {name} has shape {stored[name].shape}, expected {(count, 2, *shape)}")
+    for name, kind in _HEADER.items():
+        if not isinstance(header.get(name), kind):
+            raise DataFormatError(
+                f"{path}: the header of the predictions file lacks {name}, or it is no {kind.__name__}"
+            )
+    count = stored["sources"].size
+    expected: dict[str, tuple[tuple[int, ...], str]] = {
+        name: ((stored[name].size,), kind) for name, kind in _PACKED.items()
+    }
+    expected |= {name: ((count, 2, *shape), np.dtype(dtype).kind) for name, (shape, dtype) in _ARRAYS.items()}
+    for name, (shape, kind) in expected.items():
+        array = stored[name]
+        if array.shape != shape or array.dtype.kind != kind:
+            raise DataFormatError(
+                f"{path}: {name} is {array.dtype} of shape {array.shape}, expected kind '{kind}' of shape {shape}"
+            )
     data = stored["masks_png"].tobytes()
     ends = [0, *stored["masks_end"].tolist()]
     if len(ends) != count + 1 or ends != sorted(ends) or ends[-1] != len(data):
         raise DataFormatError(f"{path}: the masks of the predictions file are damaged")
     predictions = Predictions(
-        **{name: header[name] for name in ("dataset", "dataset_id", "weights", "settings")},
+        **{name: header[name] for name in _HEADER},
         sources=tuple(str(source) for source in stored["sources"]),
         masks_png=tuple(data[start:end] for start, end in pairwise(ends)),
         command=str(header.get("command", "")),
@@ -341,7 +357,10 @@ def _encode_png(mask: NDArray[np.uint8]) -> bytes:
 
 
 def _decode_png(data: bytes) -> NDArray[np.uint8]:
-    mask = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    try:
+        mask = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:  # its header says more pixels than OpenCV takes
+        mask = None
     if mask is None:
         raise DataFormatError("a mask of the predictions file is damaged")
     return np.asarray(mask, np.uint8)

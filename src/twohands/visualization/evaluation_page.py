@@ -126,7 +126,7 @@ def draw_curves(summary: Summary) -> Figure:
                 ls=_DASHES[turn % len(_DASHES)],
                 lw=2.0,
                 zorder=3,
-                label=system.name,
+                label=_drawable(system.name),
             )[0]
             for turn, system in enumerate(summary.systems)
         ]
@@ -247,7 +247,7 @@ def _table(table: Table) -> str:
 
 
 def _views(case: Case) -> str:
-    data = render_views(case.sample.image, case.pose, title=case.sample.source, truth=case.sample)
+    data = render_views(case.sample.image, case.pose, title=_drawable(case.sample.source), truth=case.sample)
     return f"<figure>{_img(data, 'png', case.caption)}<figcaption>{_text(case.caption)}</figcaption></figure>"
 
 
@@ -321,6 +321,11 @@ def _svg(figure: Figure) -> str:
 
 def _img(data: bytes, kind: str, alt: str) -> str:
     return f'<img alt="{html.escape(alt)}" src="data:image/{kind};base64,{base64.b64encode(data).decode()}">'
+
+
+def _drawable(name: str) -> str:
+    """A name that fonts can draw: its bytes that are no text are escapes."""
+    return name.encode(errors="backslashreplace").decode()
 
 
 def _text(text: str) -> str:
