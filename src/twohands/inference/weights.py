@@ -92,7 +92,8 @@ class WeightsCard:
         doubt: scores of a hand between which it is in doubt.
         rolls_deg: further looks of the pose networks at a hand, as cameras see it that are rolled so far about their
             line of sight.
-        range_errors: of `inference.range_prior.likely_ranges`; None to take ranges as the projection gives them.
+        range_errors: of `inference.range_prior.likely_ranges`, as scripts/fit_range_errors.py finds them; None to take
+            ranges as the projection gives them.
         networks: networks that the preset takes of another one -> name of that one's folder, beside its own.
         int8: networks that run in 8 bits -> name of every ReLU -> largest value after it (`inference.int8`).
     """

@@ -1,0 +1,48 @@
+"""`scripts/fit_range_errors.py`: what it finds where it is known, and what it cannot begin with."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scripts.fit_range_errors import Ranges, fitted, loss
+
+from twohands.errors import InputError
+from twohands.inference import range_prior as prior
+
+ROOT = Path(__file__).parents[2]
+
+
+def pictures(count, errors, rng):
+    """Both hands' ranges and estimates, drawn as `likely_ranges` supposes they are."""
+    alike = np.array([[1.0, prior.ALIKE], [prior.ALIKE, 1.0]])
+    true = prior.USUAL_RANGE_M * np.exp(rng.multivariate_normal(np.zeros(2), prior.USUAL_SPREAD**2 * alike, count))
+    mean = rng.uniform(0.4, 1.0, (count, 2))
+    error = errors[0] * (errors[1] / errors[0]) ** ((1 - mean) / (1 - prior.LOWER_SCORE))
+    estimated = true * np.exp(error * rng.normal(size=true.shape))
+    return [Ranges(e, np.tile(m[:, None], (1, 21)), t) for e, m, t in zip(estimated, mean, true, strict=True)]
+
+
+def test_the_errors_with_which_estimates_were_made_are_found_again():
+    errors = (0.12, 0.25)
+    found = pictures(250, errors, np.random.default_rng(4))
+    best = fitted(found)
+    np.testing.assert_allclose(best, errors, rtol=0.3)
+    assert loss(found, best) <= loss(found, errors) < loss(found, (1e-6, 1e-6))
+
+
+def test_a_hand_that_is_not_there_has_no_say():
+    one = Ranges(np.array([0.5, 0.9]), np.full((2, 21), 0.7), np.array([0.45, np.nan]))
+    assert np.isfinite(loss([one], (0.05, 0.1)))
+
+
+def test_without_hands_there_is_nothing_to_fit():
+    with pytest.raises(InputError, match="no labelled hand"):
+        fitted([])
+
+
+def test_what_cannot_be_read_is_one_line_and_exit_2(tmp_path):
+    script = [sys.executable, str(ROOT / "scripts" / "fit_range_errors.py"), str(tmp_path / "none"), "--data", "x"]
+    done = subprocess.run(script, capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and done.stderr.startswith("error: weights ") and done.stderr.count("\n") == 1
