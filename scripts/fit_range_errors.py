@@ -20,7 +20,7 @@ from twohands.datasets.opening import open_dataset
 from twohands.errors import InputError, TwoHandsError
 from twohands.inference.estimator import HandEstimator
 from twohands.inference.range_prior import likely_ranges
-from twohands.skeleton import ROOT, WRIST
+from twohands.skeleton import N_JOINTS, ROOT, WRIST
 from twohands.types import HandSample
 
 SMOOTH: Final = 0.03
@@ -72,7 +72,7 @@ def ranges_in(estimator: HandEstimator, sample: HandSample) -> Ranges:
     sides = [side for side, hand in enumerate(pose.hands) if hand.range_m is not None]
     true = np.where(sample.present, np.linalg.norm(sample.joints_m[:, ROOT], axis=-1), np.nan)
     estimated = np.array([pose.hands[side].range_m for side in sides], np.float64)
-    scores = np.array([pose.hands[side].joint_scores for side in sides], np.float64).reshape(len(sides), -1)
+    scores = np.array([pose.hands[side].joint_scores for side in sides], np.float64).reshape(-1, N_JOINTS)
     return Ranges(estimated, scores, true[sides])
 
 

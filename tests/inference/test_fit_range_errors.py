@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scripts.fit_range_errors import Ranges, fitted, loss
+from scripts.fit_range_errors import Ranges, fitted, loss, ranges_in
+from tests.oracles import Oracle, drawn_hands, make_card
 
 from twohands.errors import InputError
 from twohands.inference import range_prior as prior
@@ -35,6 +36,14 @@ def test_the_errors_with_which_estimates_were_made_are_found_again():
 def test_a_hand_that_is_not_there_has_no_say():
     one = Ranges(np.array([0.5, 0.9]), np.full((2, 21), 0.7), np.array([0.45, np.nan]))
     assert np.isfinite(loss([one], (0.05, 0.1)))
+
+
+@pytest.mark.parametrize("present", [(True, True), (False, True), (False, False)])
+def test_what_is_found_in_a_picture_stands_beside_what_is_true(present):
+    sample = drawn_hands(1, present=present)
+    found = ranges_in(Oracle(sample, make_card()).estimator, sample)
+    assert found.scores.shape == (sum(present), 21)
+    np.testing.assert_allclose(found.estimated, found.true, rtol=2e-2)
 
 
 def test_without_hands_there_is_nothing_to_fit():
