@@ -267,11 +267,11 @@ def ablations(complete: TruthfulEstimator, floating: Networks | None) -> list[Ab
         "key bone": TruthfulEstimator(OtherSolver(networks, as_projected, "keybone")),
         "all joints alike": TruthfulEstimator(OtherSolver(networks, as_projected, "all-joints")),
         "all joints, weighted": TruthfulEstimator(OtherSolver(networks, as_projected, "all-joints", weighted=True)),
-        "fitted": TruthfulEstimator(HandEstimator(networks, as_projected)),
-        "fitted, the likely range": complete,
+        "fitted": complete,
     }
-    if card.range_errors is None:
-        places["fitted"] = places.pop("fitted, the likely range")
+    if card.range_errors is not None:
+        places["fitted"] = TruthfulEstimator(HandEstimator(networks, as_projected))
+        places["fitted, the likely range"] = complete
 
     found = [
         Ablation(

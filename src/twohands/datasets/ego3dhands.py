@@ -15,11 +15,10 @@ from collections.abc import Iterator, Mapping, Set
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from twohands import ego3dhands_format as fmt
-from twohands.datasets.files import TO_RGB, decode_picture
+from twohands.datasets.files import decode_bytes
 from twohands.datasets.manifest import expected_hand_length_m
 from twohands.errors import DataFormatError, InputError
 from twohands.types import HandSample, PinholeCamera
@@ -286,13 +285,7 @@ def decode_png(data: bytes, channels: int, where: str) -> np.ndarray:
     """
     if not data.endswith(_PNG_END):  # the decoder would fill the rest of a cut-off picture without a word
         raise DataFormatError(f"{where}: {'zero bytes' if not data else 'not a complete PNG file'}")
-    pixels = decode_picture(data)
-    if pixels is None:
-        raise DataFormatError(f"{where}: not a PNG file that can be decoded")
-    found = pixels.shape[2] if pixels.ndim == 3 else 1
-    if pixels.dtype != np.uint8 or found != channels:
-        raise DataFormatError(f"{where}: expected {channels} channels of 8 bits, got {found} of {pixels.dtype}")
-    return pixels if channels == 1 else cv2.cvtColor(pixels, TO_RGB[channels])
+    return decode_bytes(data, channels, where, "PNG")
 
 
 def _png_size(data: bytes, where: str) -> tuple[int, int]:

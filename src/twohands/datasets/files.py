@@ -14,8 +14,7 @@ from twohands.errors import DataFormatError, InputError
 
 _ENDS = {".png": b"IEND\xaeB`\x82", ".jpg": b"\xff\xd9"}
 """Last bytes of every complete file: PNG's closing chunk with its checksum, JPEG's end-of-image marker."""
-TO_RGB = {3: cv2.COLOR_BGR2RGB, 4: cv2.COLOR_BGRA2RGBA}
-"""OpenCV's conversion of what it decodes, by the number of channels."""
+_TO_RGB = {3: cv2.COLOR_BGR2RGB, 4: cv2.COLOR_BGRA2RGBA}
 
 
 def existing_folder(path: str | os.PathLike[str]) -> Path:
@@ -82,13 +81,30 @@ def read_picture(path: Path, channels: int = 3) -> np.ndarray:
     data = read_bytes(path)
     if not data.rstrip(b"\0").endswith(_ENDS[path.suffix]):  # the decoder would make up the rest without a word
         raise DataFormatError(f"{path}: not a complete {path.suffix[1:].upper()} file")
+    return decode_bytes(data, channels, str(path), path.suffix[1:].upper())
+
+
+def decode_bytes(data: bytes, channels: int, where: str, kind: str) -> np.ndarray:
+    """Pixels of a complete 8-bit picture.
+
+    Args:
+        data: the file's content, at least one byte.
+        channels: 1 for grey, 3 for RGB, 4 for RGBA.
+        where, kind: the file's name and its format, for messages.
+
+    Returns:
+        (H, W, channels) uint8, or (H, W) for one channel.
+
+    Raises:
+        DataFormatError: it cannot be decoded, is not 8-bit, or has other channels.
+    """
     pixels = decode_picture(data)
     if pixels is None:
-        raise DataFormatError(f"{path}: not a {path.suffix[1:].upper()} file that can be decoded")
+        raise DataFormatError(f"{where}: not a {kind} file that can be decoded")
     found = pixels.shape[2] if pixels.ndim == 3 else 1
     if pixels.dtype != np.uint8 or found != channels:
-        raise DataFormatError(f"{path}: expected {channels} channels of 8 bits, got {found} of {pixels.dtype}")
-    return pixels if channels == 1 else cv2.cvtColor(pixels, TO_RGB[channels])
+        raise DataFormatError(f"{where}: expected {channels} channels of 8 bits, got {found} of {pixels.dtype}")
+    return pixels if channels == 1 else cv2.cvtColor(pixels, _TO_RGB[channels])
 
 
 def decode_picture(data: bytes) -> np.ndarray | None:

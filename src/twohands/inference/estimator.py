@@ -309,8 +309,11 @@ class HandEstimator:
         truth: StageTruth = NO_TRUTH,
     ) -> Look:
         """Crop, PoseNet2D and read-out of the given sides' boxes, boxes_px (2, 4), true or estimated ones."""
-        crop = self.crop_estimated if truth.boxes_px is None else self.crop
-        return self.look_at([crop(image, masks, boxes_px[side], int(side), camera) for side in sides], truth)
+        chosen = boxes_px[sides]
+        if truth.boxes_px is None:
+            chosen = [self.cuttable(box, camera) for box in chosen]
+        hands = zip(chosen, sides, strict=True)
+        return self.look_at([self.crop(image, masks, box, int(side), camera) for box, side in hands], truth)
 
     def look_at(self, crops: list[HandCrop], truth: StageTruth = NO_TRUTH) -> Look:
         """PoseNet2D and read-out of crops."""
@@ -350,7 +353,12 @@ class HandEstimator:
         distance = palms_apart(look.joints_px, boxes.boxes_px) if len(look.sides) == 2 else math.inf
         if distance < ONE_PLACE:
             either = [as_one_hand(masks, boxes.boxes_px, side) for side in (LEFT, RIGHT)]
-            alone = self.look_at([self.crop_estimated(image, *one, side, camera) for side, one in enumerate(either)])
+            alone = self.look_at(
+                [
+                    self.crop(image, whole_mask, self.cuttable(box, camera), side, camera)
+                    for side, (whole_mask, box) in enumerate(either)
+                ]
+            )
             whole = alone.hand_logits
         source, answer = assign_sides(
             boxes.scores, own, turned, whole=whole, apart=distance >= APART, remembered=remembered
@@ -390,9 +398,10 @@ class HandEstimator:
             roll = rotation_about_z(math.radians(degrees))
             unrolled = image_from_rolled(camera, roll)
             hands = zip(rolled_box(first.joints_px, image.shape[:2], unrolled), first.sides, strict=True)
-            again = self.look_at(
-                [self.crop_estimated(image, masks, box, int(side), camera, unrolled) for box, side in hands]
-            )
+            crops = [
+                self.crop(image, masks, self.cuttable(box, camera), int(side), camera, unrolled) for box, side in hands
+            ]
+            again = self.look_at(crops)
             rays = unproject(again.joints_px[:, ROOT], camera)
             rays = np.where(np.isfinite(rays), rays, first_rays)
             looks.append(again)
@@ -428,19 +437,9 @@ class HandEstimator:
         composed = compose_hand_input(image, masks, image_from_crop, side, size, self.card.background)
         return HandCrop(composed, image_from_crop, side, mirrored=side == RIGHT)
 
-    def crop_estimated(
-        self,
-        image: np.ndarray,
-        masks: np.ndarray,
-        box_px: np.ndarray,
-        side: int,
-        camera: PinholeCamera,
-        image_from_boxed: np.ndarray | None = None,
-    ) -> HandCrop:
-        """`crop` of an estimated box, which may be larger than a wide camera's crop can show (`box_before_camera`)."""
-        if self.card.crop_kind == "perspective":
-            box_px = box_before_camera(box_px, camera)
-        return self.crop(image, masks, box_px, side, camera, image_from_boxed)
+    def cuttable(self, box_px: np.ndarray, camera: PinholeCamera) -> np.ndarray:
+        """An estimated box, smaller where a wide camera's crop could not show all of it (`box_before_camera`)."""
+        return box_before_camera(box_px, camera) if self.card.crop_kind == "perspective" else box_px
 
     def locate(self, crops: list[HandCrop], truth: StageTruth = NO_TRUTH) -> tuple[np.ndarray, np.ndarray]:
         """Stage 3, PoseNet2D: both hands in one batch -> heatmaps (B, 21 + cues, M, M), log-odds (B,) that they are
