@@ -15,11 +15,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from twohands.synth.config import PRESETS
 from twohands.synth.render.blender import BlenderRenderer
 from twohands.synth.render.choice import Renderer
 from twohands.synth.render.raster import RasterRenderer
-from twohands.synth.scene import SceneSpec, sample_scene
+from twohands.synth.scene.config import PRESETS
+from twohands.synth.scene.sampling import sample_scene
+from twohands.synth.scene.spec import SceneSpec
 
 SCENES = 4
 WIDTH, HEIGHT = 480, 270

@@ -19,12 +19,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from twohands.synth.config import PRESETS, SynthConfig
-from twohands.synth.executors import LocalProcesses
-from twohands.synth.generate import StaticSet, generate_static
+from twohands.synth.production.executors import LocalProcesses
 from twohands.synth.render.raster import RasterRenderer
-from twohands.synth.scene import sample_scene
-from twohands.synth.stream import SyntheticStream
+from twohands.synth.scene.config import PRESETS, SynthConfig
+from twohands.synth.scene.sampling import sample_scene
+from twohands.synth.sets.static import StaticSet, generate_static
+from twohands.synth.sets.stream import SyntheticStream
 
 COUNT = 60
 """Items per run in one process."""

@@ -16,10 +16,10 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from twohands.synth.config import PAPER, PRESETS, SynthConfig
-from twohands.synth.generate import StaticSet
-from twohands.synth.sequences import SequenceRenderer, SequenceSet
-from twohands.synth.stream import SyntheticStream
+from twohands.synth.scene.config import PAPER, PRESETS, SynthConfig
+from twohands.synth.sets.sequences import SequenceRenderer, SequenceSet
+from twohands.synth.sets.static import StaticSet
+from twohands.synth.sets.stream import SyntheticStream
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "src" / "twohands" / "examples_data"

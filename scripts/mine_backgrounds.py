@@ -24,9 +24,9 @@ from twohands.errors import TwoHandsError
 from twohands.geometry.boxes import box_iou
 from twohands.inference.estimator import HandEstimator
 from twohands.skeleton import LEFT, RIGHT
-from twohands.synth.backgrounds import Background, Backgrounds
-from twohands.synth.cache import FrameCache
-from twohands.synth.executors import LocalProcesses
+from twohands.synth.backgrounds.photographs import Background, Backgrounds
+from twohands.synth.production.executors import LocalProcesses
+from twohands.synth.sets.cache import FrameCache
 from twohands.training.batches import ONE_HAND_IOU
 from twohands.training.config import DataConfig, folder_list
 from twohands.training.sources import backgrounds_of

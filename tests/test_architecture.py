@@ -25,6 +25,15 @@ STOREYS = [
 floor is the exception: its modules may use each other."""
 STOREY = {room: level for level, rooms in enumerate(STOREYS) for room in rooms}
 
+SYNTH_ROOMS = {
+    "backgrounds": set(),
+    "production": set(),
+    "scene": {"backgrounds"},
+    "render": {"backgrounds", "scene"},
+    "sets": {"backgrounds", "production", "scene", "render"},
+}
+"""Rooms of synth, and the others that each may use; every module of synth lives in one of them."""
+
 EXTRAS = {
     "torch": {"models", "training", "export"},
     "lightning": {"training"},
@@ -94,6 +103,18 @@ def forbidden_rooms(source: str, module: str) -> set[str]:
     } | {other for other in rooms_used(source, module) if STOREY[room] == 0 and STOREY.get(other, 0) > 0}
 
 
+def forbidden_synth_rooms(source: str, module: str) -> set[str]:
+    """Other rooms of synth that a module of synth may not import, and its own place where that is none of them."""
+    _, place, *rooms = module.split(".")
+    if place != "synth" or rooms == ["__init__"]:
+        return set()
+    room = rooms[0]
+    if room not in SYNTH_ROOMS or len(rooms) == 1:
+        return {"in no room of synth"}
+    parts = [name.split(".") for name in imported(source, module) if name.startswith("twohands.synth.")]
+    return {part[2] for part in parts} - SYNTH_ROOMS[room] - {room}
+
+
 def violations(package: Path, check) -> list[str]:
     """Every module inside a room for which `check(source, dotted name)` returns something."""
     found: list[str] = []
@@ -138,10 +159,23 @@ def test_every_module_lives_in_a_known_room():
 
 
 @pytest.mark.parametrize(
-    "check", [forbidden_rooms, forbidden_extras, spoken, geometry_strangers], ids=lambda check: check.__name__
+    "check",
+    [forbidden_rooms, forbidden_synth_rooms, forbidden_extras, spoken, geometry_strangers],
+    ids=lambda check: check.__name__,
 )
 def test_house_rule(check):
     assert violations(PACKAGE, check) == []
+
+
+def test_rooms_of_synth_stand_on_each_other():
+    """At most ten arrows and no circle: rooms can be left one after the other, those that nobody needs first."""
+    assert sum(map(len, SYNTH_ROOMS.values())) <= 10
+    standing = dict(SYNTH_ROOMS)
+    while standing:
+        needed = set().union(*standing.values())
+        tops = standing.keys() - needed
+        assert tops, f"a circle among {sorted(standing)}"
+        standing = {room: below for room, below in standing.items() if room not in tops}
 
 
 @pytest.mark.parametrize(
@@ -157,6 +191,17 @@ def test_house_rule(check):
         (forbidden_rooms, "types.py", "from twohands.errors import InputError", []),
         (forbidden_rooms, "cli/c.py", "from twohands.synth import x\nfrom . import y", []),
         (forbidden_rooms, "geometry/a.py", "from . import boxes\nfrom twohands.types import Array", []),
+        (forbidden_synth_rooms, "synth/a.py", "", ["twohands.synth.a: in no room of synth"]),
+        (forbidden_synth_rooms, "synth/attic/a.py", "", ["twohands.synth.attic.a: in no room of synth"]),
+        (forbidden_synth_rooms, "synth/scene/a.py", "from ..render import x", ["twohands.synth.scene.a: render"]),
+        (
+            forbidden_synth_rooms,
+            "synth/scene/a.py",
+            "from twohands.synth import sets",
+            ["twohands.synth.scene.a: sets"],
+        ),
+        (forbidden_synth_rooms, "synth/render/a.py", "from twohands.synth.scene.body import x", []),
+        (forbidden_synth_rooms, "training/a.py", "from twohands.synth.sets import cache", []),
         (forbidden_extras, "inference/d.py", "import torch.nn", ["twohands.inference.d: torch"]),
         (forbidden_extras, "inference/d.py", "def f():\n    import torch", []),
         (forbidden_extras, "models/d.py", "import torch", []),

@@ -14,7 +14,7 @@ from tests.oracles import write_tiny_weights
 from twohands.cli.main import main
 from twohands.datasets.opening import DatasetOptions, detect_kind, open_dataset
 from twohands.errors import DataFormatError, InputError
-from twohands.synth.sinks import ShardSink
+from twohands.synth.production.sinks import ShardSink
 
 STAGES = ["presence", "boxes", "joints-2d", "heatmaps", "canonical"]
 

@@ -14,8 +14,8 @@ from twohands.cli.generate import _at_frame_size
 from twohands.cli.main import main
 from twohands.cli.progress import RateLog, duration
 from twohands.errors import RendererError
-from twohands.synth.config import WILD, SynthConfig
 from twohands.synth.render import blender, raster
+from twohands.synth.scene.config import WILD, SynthConfig
 
 SMALL = ["--count", "3", "--workers", "1", "--config.width", "128", "--config.height", "72"]
 

@@ -17,8 +17,8 @@ from twohands.datasets.inspect import inspect_dataset
 from twohands.datasets.manifest import expected_hand_length_m
 from twohands.datasets.shards import ShardedEgo3DHands, open_ego3dhands
 from twohands.errors import DataFormatError, InputError
-from twohands.synth.manifest import claimed_folder
-from twohands.synth.sinks import FolderSink, ShardSink
+from twohands.synth.production.manifest import claimed_folder
+from twohands.synth.production.sinks import FolderSink, ShardSink
 from twohands.training.config import DataConfig
 from twohands.training.sources import open_source
 

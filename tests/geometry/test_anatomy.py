@@ -5,7 +5,7 @@ import numpy as np
 from twohands.geometry.anatomy import HAND_LENGTH, KNUCKLES, anatomical_joints
 from twohands.geometry.rotation import rotation_from_angles
 from twohands.skeleton import ROOT, WRIST
-from twohands.synth.body import load_asset
+from twohands.synth.scene.body import load_asset
 
 
 def rest_hand() -> np.ndarray:

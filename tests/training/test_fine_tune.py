@@ -7,8 +7,8 @@ import pytest
 from tests.training.tiny import NETWORKS
 
 from twohands.errors import InputError
-from twohands.synth.config import SynthConfig
-from twohands.synth.scene import sample_camera
+from twohands.synth.scene.config import SynthConfig
+from twohands.synth.scene.sampling import sample_camera
 from twohands.training.fine_tune import SHARES, fine_tuning_run, frame_count, scenes_for
 from twohands.types import PinholeCamera
 

@@ -24,7 +24,7 @@ class BakeArgs:
 
 def run(args: BakeArgs) -> int:
     """Bake and print a summary."""
-    from twohands.synth.bake import bake
+    from twohands.synth.scene.bake import bake
 
     if os.path.lexists(args.out):
         raise InputError(f"{args.out}: exists already; choose another --out")

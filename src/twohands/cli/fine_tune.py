@@ -37,7 +37,7 @@ def fine_tune(
     """
     from twohands.export.calibration import add_int8
     from twohands.export.onnx import export_preset
-    from twohands.synth.cache import build_cache
+    from twohands.synth.sets.cache import build_cache
     from twohands.training.fine_tune import SHARES, fine_tuning_run, frame_count, scenes_for, shapes_of
     from twohands.training.sources import backgrounds_of, open_source
     from twohands.training.trainer import train

@@ -19,13 +19,13 @@ import tyro
 
 from twohands.cli.progress import progress_of
 from twohands.errors import InputError
-from twohands.synth.config import PAPER, PRESETS, SynthConfig
-from twohands.synth.motion import MotionConfig
+from twohands.synth.scene.config import PAPER, PRESETS, SynthConfig
+from twohands.synth.scene.motion import MotionConfig
 from twohands.types import PinholeCamera
 
 if TYPE_CHECKING:
-    from twohands.synth.executors import Executor
-    from twohands.synth.production import Outcome, Plan, Production
+    from twohands.synth.production.executors import Executor
+    from twohands.synth.production.produce import Outcome, Plan, Production
 
 FRAME_STEP = 16
 """Widths of 16:9 frames are multiples of this."""
@@ -124,20 +124,20 @@ def executor_of(args: GenerateArgs, production: Production) -> Executor:
         InputError: nothing answers at the address of the Ray cluster.
     """
     if args.engine == "ray":
-        from twohands.synth.ray_cluster import RayCluster
+        from twohands.synth.production.ray_cluster import RayCluster
 
         workers = workers_of(args) if args.renderer == "blender" else args.workers
         cluster = RayCluster(args.ray_address, workers, production.made_with)
         cluster.check()
         return cluster
 
-    from twohands.synth.executors import LocalProcesses
+    from twohands.synth.production.executors import LocalProcesses
 
     return LocalProcesses(workers_of(args))
 
 
 def _static(args: GenerateArgs) -> int:
-    from twohands.synth.generate import StaticSet
+    from twohands.synth.sets.static import StaticSet
 
     if args.backgrounds is None:
         print("backgrounds: procedural; give photographs with --backgrounds FOLDER")
@@ -150,7 +150,7 @@ def _static(args: GenerateArgs) -> int:
 
 def write(production: Production, args: GenerateArgs, executor: Executor) -> Outcome:
     """Carries out a production run with progress; says how to go on where it is interrupted."""
-    from twohands.synth.production import produce
+    from twohands.synth.production.produce import produce
 
     with progress_of("instances") as progress:
 
@@ -196,7 +196,7 @@ def _name_skipped(notes: Sequence[str]) -> None:
 
 
 def _frames(args: GenerateArgs) -> int:
-    from twohands.synth.cache import build_cache
+    from twohands.synth.sets.cache import build_cache
 
     if args.backgrounds or args.split != "train" or args.format != "ego3dhands":
         raise InputError("frames have no background, split or format: leave --backgrounds, --split and --format out")
@@ -232,7 +232,7 @@ def _at_frame_size(config: SynthConfig, width: int) -> SynthConfig:
 
 
 def _dynamic(args: GenerateArgs) -> int:
-    from twohands.synth.sequences import SequenceSet
+    from twohands.synth.sets.sequences import SequenceSet
 
     if args.backgrounds is None:
         print("backgrounds: procedural rooms; give videos, panoramas or photographs with --backgrounds FOLDER")

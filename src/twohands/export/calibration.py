@@ -13,8 +13,8 @@ import numpy as np
 from twohands.inference.estimator import HandEstimator
 from twohands.inference.int8 import activation_peaks
 from twohands.inference.weights import write_card
-from twohands.synth.config import PAPER, WILD
-from twohands.synth.stream import SyntheticStream
+from twohands.synth.scene.config import PAPER, WILD
+from twohands.synth.sets.stream import SyntheticStream
 from twohands.types import HandSample
 
 NETWORKS: Final = ("hand_seg_net", "pose_net_2d")

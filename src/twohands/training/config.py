@@ -59,9 +59,10 @@ class DataConfig:
     """Share of procedural backgrounds, flat pictures and rooms alike, among the photographs; the folders share the
     rest equally."""
     clutter: float = 0.0
-    """Share of backgrounds with things laid over that could be taken for hands (`synth.clutter`)."""
+    """Share of backgrounds with things laid over that could be taken for hands (`synth.backgrounds.clutter`)."""
     remixed: float = 0.0
-    """Share of backgrounds in other colours, half of these made of two (`synth.remix`); clutter comes on top."""
+    """Share of backgrounds in other colours, half of these made of two (`synth.backgrounds.remix`); clutter comes on
+    top."""
     empty: float = 0.04
     """Share of pictures from cached frames that show no hand, for HandSegNet and for PoseNet2D's judge."""
     variants: int = 20

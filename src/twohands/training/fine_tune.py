@@ -11,7 +11,7 @@ from pathlib import Path
 
 from twohands.models.checkpoint import load_network
 from twohands.models.presets import NetworkConfigs
-from twohands.synth.config import WILD, SynthConfig
+from twohands.synth.scene.config import WILD, SynthConfig
 from twohands.training.config import StageName, TrainConfig, folder_list, recipe
 from twohands.types import PinholeCamera
 

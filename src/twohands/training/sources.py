@@ -12,7 +12,7 @@ from twohands.training.batches import IndexRange, Joined, SampleSource
 from twohands.training.config import DataConfig
 
 if TYPE_CHECKING:
-    from twohands.synth.backgrounds import Backgrounds
+    from twohands.synth.backgrounds.photographs import Backgrounds
 
 SYNTHETIC = "synthetic"
 """Name of the built-in source that renders its pictures on the fly."""
@@ -61,7 +61,7 @@ def _open_folder(
         raise InputError(f"training data '{name}': expected a folder or '{SYNTHETIC}'")
 
     if _is_cache(folder):
-        from twohands.synth.cache import FrameCache
+        from twohands.synth.sets.cache import FrameCache
 
         backgrounds = behind()
         frames = len(FrameCache(folder).indices)
@@ -79,7 +79,7 @@ def _open_folder(
 
 def _is_cache(folder: Path) -> bool:
     """Whether a folder holds cached frames."""
-    from twohands.synth.cache import FrameCache
+    from twohands.synth.sets.cache import FrameCache
 
     return FrameCache.is_cache(folder)
 
@@ -92,9 +92,9 @@ def split(source: SampleSource, validation: int) -> tuple[IndexRange, IndexRange
 
 
 def _synthetic(spec: DataConfig) -> SampleSource:
-    from twohands.synth.config import SynthConfig
-    from twohands.synth.seeds import stream_seed
-    from twohands.synth.stream import SyntheticStream
+    from twohands.synth.scene.config import SynthConfig
+    from twohands.synth.sets.seeds import stream_seed
+    from twohands.synth.sets.stream import SyntheticStream
 
     width, height = SYNTHETIC_FRAME
     config, seed = SynthConfig(width=width, height=height), stream_seed(spec.seed, "stream")
@@ -103,10 +103,10 @@ def _synthetic(spec: DataConfig) -> SampleSource:
 
 def backgrounds_of(spec: DataConfig) -> Backgrounds:
     """What to put behind rendered hands."""
-    from twohands.synth.backgrounds import BackgroundFolder, MixedBackgrounds, ProceduralBackgrounds
-    from twohands.synth.clips import RoomBackgrounds
-    from twohands.synth.clutter import ClutteredBackgrounds
-    from twohands.synth.remix import RemixedBackgrounds
+    from twohands.synth.backgrounds.clips import RoomBackgrounds
+    from twohands.synth.backgrounds.clutter import ClutteredBackgrounds
+    from twohands.synth.backgrounds.photographs import BackgroundFolder, MixedBackgrounds, ProceduralBackgrounds
+    from twohands.synth.backgrounds.remix import RemixedBackgrounds
 
     backgrounds: Backgrounds = MixedBackgrounds((ProceduralBackgrounds(), RoomBackgrounds()), (0.5, 0.5))
     folders = [BackgroundFolder(Path(name.strip())) for name in spec.backgrounds.split(",") if name.strip()]

@@ -1,1 +1,1 @@
-"""Renderers: the same SceneSpec in, the same labels out."""
+"""Draws scenes: renderers (the same SceneSpec in, the same labels out), light, sensor and compositing."""

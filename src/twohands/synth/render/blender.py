@@ -23,11 +23,11 @@ import numpy as np
 
 from twohands.errors import MissingExtraError, RendererError
 from twohands.skeleton import LEFT, N_PART_LABELS, RIGHT
-from twohands.synth.body import load_asset
 from twohands.synth.render.blender_materials import build_labels, build_skin, build_sky, build_things
 from twohands.synth.render.raster import FAR_M, NEAR_M
 from twohands.synth.render.surface import ThingMesh, posed_things, posed_vertices, surface
-from twohands.synth.scene import Lighting, SceneSpec
+from twohands.synth.scene.body import load_asset
+from twohands.synth.scene.spec import Lighting, SceneSpec
 from twohands.types import PinholeCamera, RenderedFrame
 
 BLENDER_FROM_CAMERA = np.array([1.0, -1.0, -1.0])

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from twohands.synth.render.nodes import Value, add_node, attribute, noise
-from twohands.synth.scene import Lighting, SceneSpec
+from twohands.synth.scene.spec import Lighting, SceneSpec
 
 REFRACTION = 1.4
 """Of skin: 2.8 % of the light that falls straight on it is mirrored."""

@@ -12,9 +12,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from twohands.synth.body import BONES_PER_SIDE, Body, bone, forward_kinematics, load_asset, posed_joints, skin
-from twohands.synth.pose import ArmAnatomy, HandAngles, frame, unit
-from twohands.synth.things import vertex_normals
+from twohands.synth.scene.body import BONES_PER_SIDE, Body, bone, forward_kinematics, load_asset, posed_joints, skin
+from twohands.synth.scene.pose import ArmAnatomy, HandAngles, frame, unit
+from twohands.synth.scene.things import vertex_normals
 
 SPREAD = np.radians([10.0, 3.0, -5.0, -14.0])
 """Of index to little finger on the chart."""

@@ -8,9 +8,9 @@ from typing import Literal, Protocol
 import numpy as np
 
 from twohands.errors import InputError
-from twohands.synth.fabrics import FabricFolder
 from twohands.synth.render import blender, raster
-from twohands.synth.scene import SceneSpec
+from twohands.synth.scene.fabrics import FabricFolder
+from twohands.synth.scene.spec import SceneSpec
 from twohands.types import RenderedFrame
 
 RendererName = Literal["raster", "blender"]

@@ -14,11 +14,8 @@ import numpy as np
 
 from twohands.errors import MissingExtraError, RendererError
 from twohands.skeleton import N_PART_LABELS
-from twohands.synth.body import BONE_NAMES, load_asset
-from twohands.synth.collision import capsules
-from twohands.synth.compositing import partly_covered
-from twohands.synth.fabrics import Tile
 from twohands.synth.render.chart import chart
+from twohands.synth.render.compositing import partly_covered
 from twohands.synth.render.markings import HIGH, LOW, on_painting, paint_markings
 from twohands.synth.render.shaders import (
     LABEL_FRAGMENT,
@@ -32,8 +29,11 @@ from twohands.synth.render.shaders import (
     colour_shaders,
 )
 from twohands.synth.render.surface import posed_things, surface
-from twohands.synth.scene import PATTERNS, SceneSpec, moved
-from twohands.synth.things import vertex_normals
+from twohands.synth.scene.body import BONE_NAMES, load_asset
+from twohands.synth.scene.collision import capsules
+from twohands.synth.scene.fabrics import Tile
+from twohands.synth.scene.spec import PATTERNS, SceneSpec, moved
+from twohands.synth.scene.things import vertex_normals
 from twohands.types import PinholeCamera, RenderedFrame
 
 NEAR_M, FAR_M = 0.01, 4.0

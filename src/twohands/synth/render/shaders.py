@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from twohands.synth.body import BONE_NAMES
+from twohands.synth.scene.body import BONE_NAMES
 
 MAX_LIGHTS: Final = 4
 MAX_CAPSULES: Final = 42

@@ -9,10 +9,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from twohands.synth.body import bone, load_asset, part_labels, skin
-from twohands.synth.pose import ArmAnatomy, unit
-from twohands.synth.scene import SceneSpec, moved
-from twohands.synth.things import Thing, vertex_normals
+from twohands.synth.scene.body import bone, load_asset, part_labels, skin
+from twohands.synth.scene.pose import ArmAnatomy, unit
+from twohands.synth.scene.spec import SceneSpec, moved
+from twohands.synth.scene.things import Thing, vertex_normals
 
 
 @dataclass(frozen=True, slots=True, eq=False)

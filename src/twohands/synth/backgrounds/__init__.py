@@ -1,0 +1,1 @@
+"""What is behind the hands: photographs, films, panoramas and procedural pictures."""

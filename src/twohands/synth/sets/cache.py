@@ -1,0 +1,248 @@
+"""A store of rendered frames on disk, for training on machines where rendering would starve the trainer.
+
+Frames are kept without background, as plain memory-mapped arrays; each read puts another background behind them, so
+one rendered frame serves many training samples.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from twohands.errors import DataFormatError, InputError
+from twohands.geometry.camera import project
+from twohands.instance_index import MANIFEST_FILE
+from twohands.synth.backgrounds.photographs import Backgrounds, ProceduralBackgrounds
+from twohands.synth.production.executors import LocalProcesses
+from twohands.synth.production.manifest import claimed_folder, environment
+from twohands.synth.production.produce import check_room
+from twohands.synth.render.choice import RendererName, open_fabrics, renderer_version
+from twohands.synth.render.compositing import compose
+from twohands.synth.render.sensor import expose, sample_sensor
+from twohands.synth.scene.config import SynthConfig
+from twohands.synth.scene.sampling import instance_rng
+from twohands.synth.sets.seeds import stream_seed
+from twohands.synth.sets.stream import SyntheticStream, labelled
+from twohands.types import HandSample, PinholeCamera
+
+_VARIANT_STREAM = 1 << 41
+FORMAT = "frames-2"
+"""Of the manifest; "frames-1" drew the scenes of a static set of the same seed, and is read just the same."""
+GLARE_RATE = 0.1
+"""Share of arms lit so brightly that parts of them are white, as in pictures of Ego3DHands."""
+
+
+def _layout(config: SynthConfig, count: int) -> dict[str, tuple[tuple[int, ...], type]]:
+    size = (count, config.height, config.width)
+    return {
+        "rgba": ((*size, 4), np.uint8),
+        "labels": (size, np.uint8),
+        "joints": ((count, 2, 22, 3), np.float32),
+        "present": ((count, 2), np.bool_),
+        "intrinsics": ((count, 4), np.float32),
+        "done": ((count,), np.bool_),
+    }
+
+
+def build_cache(
+    folder: Path,
+    config: SynthConfig,
+    seed: int,
+    count: int,
+    *,
+    workers: int = 1,
+    renderer: RendererName = "raster",
+    fabrics: Path | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[str, ...]:
+    """Renders `count` frames into `folder`; an interrupted build goes on where it stopped.
+
+    Args:
+        folder: of this cache alone.
+        config: distributions; its width and height are the frames' size.
+        seed: of the set.
+        count: number of frames.
+        workers: processes, each with its own renderer.
+        renderer: who draws.
+        fabrics: folder of tileable pictures for sleeves and gloves; plain and striped ones if None.
+        progress: called with (frames done, count) now and then.
+
+    Returns:
+        A line for every picture of the user's that was skipped, sorted.
+
+    Raises:
+        InputError: the folder holds something else, there is no room for the frames, or the seed is negative.
+        MissingExtraError, RendererError: no renderer on this machine.
+        TwoHandsError: a worker process died.
+    """
+    if count < 1:
+        raise InputError(f"count must be at least 1, got {count}")
+    identity = {"format": FORMAT, "kind": "frames", "renderer": renderer, "seed": seed, "count": count}
+    identity["config"] = asdict(config)
+    cloths = open_fabrics(fabrics, renderer)
+    identity["fabrics"] = cloths.name if cloths else None
+    stream = SyntheticStream(config, stream_seed(seed, "frames"), count, renderer_name=renderer, fabrics=cloths)
+    layout = _layout(config, count)
+    with claimed_folder(folder, identity, environment(renderer_version(renderer))):
+        absent = {name: spec for name, spec in layout.items() if not (folder / f"{name}.npy").exists()}
+        check_room(folder, sum(int(np.prod(shape)) * np.dtype(dtype).itemsize for shape, dtype in absent.values()))
+        for name, (shape, dtype) in absent.items():
+            _allocate(folder / f"{name}.npy", shape, dtype)
+        missing = [int(i) for i in np.flatnonzero(~np.load(folder / "done.npy", mmap_mode="r"))]
+        finished = count - len(missing)
+        notes: set[str] = set()
+        for unreadable in LocalProcesses(workers).run(partial(_open_frames, stream, folder, tuple(layout)), missing):
+            notes.update(unreadable)
+            finished += 1
+            if progress is not None:
+                progress(finished, count)
+    return tuple(sorted(notes))
+
+
+def _allocate(path: Path, shape: tuple[int, ...], dtype: type) -> None:
+    """An array of zeros on disk, which appears whole or not at all. Its room is reserved: a worker that found the disk
+    full while writing through a memory map would be killed."""
+    partial_path = path.with_name(f".{path.name}.partial")
+    try:
+        np.lib.format.open_memmap(partial_path, mode="w+", dtype=dtype, shape=shape).flush()
+        if hasattr(os, "posix_fallocate"):
+            with partial_path.open("r+b") as file:
+                os.posix_fallocate(file.fileno(), 0, partial_path.stat().st_size)
+        os.replace(partial_path, path)
+    except OSError as error:
+        partial_path.unlink(missing_ok=True)
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def _open_frames(stream: SyntheticStream, folder: Path, names: tuple[str, ...]) -> Callable[[int], tuple[str, ...]]:
+    """What a worker does with an index."""
+    return partial(_render_frame, stream, {name: np.load(folder / f"{name}.npy", mmap_mode="r+") for name in names})
+
+
+def _render_frame(stream: SyntheticStream, arrays: dict[str, np.ndarray], index: int) -> tuple[str, ...]:
+    """Puts a frame into the arrays; returns `SyntheticStream.unreadable`."""
+    frame = stream.frame(index)
+    arrays["rgba"][index, ..., :3] = frame.rgb
+    arrays["rgba"][index, ..., 3] = frame.alpha
+    arrays["labels"][index] = frame.part_labels
+    arrays["joints"][index] = frame.joints_m
+    arrays["present"][index] = frame.present
+    camera = frame.camera
+    arrays["intrinsics"][index] = camera.fx, camera.fy, camera.cx, camera.cy
+    arrays["done"][index] = True
+    return stream.unreadable
+
+
+def vary_arms(rgb: np.ndarray, labels: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Lights each arm anew: a random exposure, contrast and tint per arm, as lamps at different places give.
+
+    Args:
+        rgb: (H, W, 3) uint8.
+        labels: (H, W) uint8 part labels, 1..7 left, 8..14 right.
+        rng: one draw per arm.
+
+    Returns:
+        A varied copy, (H, W, 3) uint8.
+    """
+    out = rgb.copy()
+    for first in (1, 8):
+        glare = rng.uniform(0.2, 1.2) if rng.random() < GLARE_RATE else 0.0
+        warmth = rng.normal(0, 0.09)  # lamps differ between blue and yellow much more than towards green
+        tint = np.array([warmth, 0.0, -warmth]) + rng.normal(0, 0.03, 3)
+        gain = np.exp(rng.normal(0.05, 0.28) + glare + tint)
+        gamma = np.exp(rng.normal(0, 0.15))
+        table = np.clip(255 * (np.arange(256)[:, None] / 255) ** gamma * gain, 0, 255).astype(np.uint8)
+        arm = cv2.inRange(labels, np.array(first), np.array(first + 6))
+        cv2.copyTo(cv2.LUT(rgb, table[None]), arm, out)
+    return out
+
+
+class FrameCache:
+    """Reads a cache as labelled samples, every frame `variants` times over with different backgrounds.
+
+    Args:
+        folder: written by `build_cache`.
+        backgrounds: source of backgrounds; procedural if None.
+        frames: (start, stop) of the frames to use, to split training from validation; all if None.
+        variants: how many samples one frame gives.
+        empty_rate: share of samples without hands, so that a network learns what none looks like: the background and,
+            where there is one, the person's body, its arms taken out.
+
+    Raises:
+        DataFormatError: the folder holds no finished cache.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        backgrounds: Backgrounds | None = None,
+        frames: tuple[int, int] | None = None,
+        variants: int = 1,
+        empty_rate: float = 0.0,
+    ) -> None:
+        try:
+            manifest = json.loads((folder / MANIFEST_FILE).read_text())
+            self.seed = int(manifest["seed"])
+            self._sensor = float(manifest["config"].get("sensor", 0.0))
+            self._arrays = {
+                name: np.load(folder / f"{name}.npy", mmap_mode="r")
+                for name in ("rgba", "labels", "joints", "present", "intrinsics")
+            }
+            done = np.load(folder / "done.npy", mmap_mode="r")
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            raise DataFormatError(f"{folder} holds no frame cache: {error}") from error
+        start, stop = frames or (0, len(done))
+        if not done[start:stop].all():
+            raise DataFormatError(f"frame cache {folder} is not finished: build it again to go on")
+        self.indices = range(start, stop)
+        self.variants, self.empty_rate = variants, empty_rate
+        self.backgrounds = backgrounds or ProceduralBackgrounds()
+        self.name = f"{folder.name} frames {start}..{stop}"
+        self._height, self._width = self._arrays["labels"].shape[1:]
+
+    @staticmethod
+    def is_cache(folder: Path) -> bool:
+        """Whether `build_cache` has written to this folder."""
+        return (folder / MANIFEST_FILE).is_file() and (folder / "rgba.npy").is_file()
+
+    def __len__(self) -> int:
+        return len(self.indices) * self.variants
+
+    def __getitem__(self, index: int) -> HandSample:
+        if not 0 <= index < len(self):
+            raise IndexError(f"sample {index} of {len(self)}")
+        variant, offset = divmod(index, len(self.indices))
+        at = self.indices[offset]
+        arrays = self._arrays
+        rgba = np.asarray(arrays["rgba"][at])
+        labels = np.asarray(arrays["labels"][at])
+        # Keyed by the frame itself, so that held-out frames never share a draw with training ones.
+        rng = instance_rng(self.seed, _VARIANT_STREAM + variant * len(arrays["present"]) + at)
+        fx, fy, cx, cy = map(float, arrays["intrinsics"][at])
+        camera = PinholeCamera(fx, fy, cx, cy, self._width, self._height)
+        background = self.backgrounds.sample(rng, camera).picture
+        colour, alpha = cv2.cvtColor(rgba, cv2.COLOR_RGBA2RGB), rgba[..., 3]
+        if rng.random() < self.empty_rate:
+            image = compose(colour, np.where(labels > 0, np.uint8(0), alpha), background)
+            labels, joints_m, present = np.zeros_like(labels), np.full((2, 22, 3), np.nan), np.zeros(2, bool)
+        else:
+            image = compose(vary_arms(colour, labels, rng), alpha, background)
+            joints_m, present = np.asarray(arrays["joints"][at], np.float64), np.asarray(arrays["present"][at])
+        hand = joints_m[:, 1:]
+        return HandSample(
+            image=expose(image, sample_sensor(self._sensor, rng), rng),
+            camera=camera,
+            present=present,
+            joints_px=project(hand, camera),
+            joints_m=hand,
+            valid=labelled(hand, present),
+            labels=labels,
+            source=f"{self.name} #{index}",
+        )

@@ -1,0 +1,78 @@
+"""Processes that share work: order kept, errors handed over, deaths noticed."""
+
+import multiprocessing
+import os
+import signal
+
+import pytest
+
+from twohands.errors import InputError, TwoHandsError
+from twohands.synth.production.executors import LocalProcesses
+
+BIG = 20_000_000
+
+
+def open_big():
+    """Answers that no pipe takes at once."""
+    return lambda index: bytes([index % 256]) * BIG
+
+
+def open_picky():
+    def work(index):
+        if index == 5:
+            raise InputError("five is refused")
+        return index
+
+    return work
+
+
+def test_results_come_in_the_order_of_the_indices():
+    results = list(LocalProcesses(2).run(open_big, iter(range(7, 13))))
+    assert [(len(r), r[0]) for r in results] == [(BIG, i) for i in range(7, 13)]
+
+
+def test_an_error_comes_after_the_results_before_it():
+    seen = []
+    with pytest.raises(InputError, match="five is refused"):
+        for result in LocalProcesses(2).run(open_picky, range(20)):
+            seen.append(result)
+    assert seen == list(range(5))
+
+
+def test_a_worker_killed_in_the_middle_of_its_answer_is_noticed():
+    """Named case: half an answer in a pipe shared by all workers left the run waiting for ever."""
+    before = set(multiprocessing.active_children())
+    results = LocalProcesses(2).run(open_big, range(40))
+    next(results)
+    workers = sorted(set(multiprocessing.active_children()) - before, key=lambda process: process.pid)
+    assert len(workers) == 2
+    os.kill(workers[0].pid, signal.SIGKILL)  # it waits for a reader, most of its next answer unsent
+    with pytest.raises(TwoHandsError, match="a worker process died"):
+        for _ in results:
+            pass
+    for worker in workers:
+        worker.join(10)
+        assert not worker.is_alive()
+
+
+def interrupted_import():
+    signal.raise_signal(signal.SIGINT)
+    return open_picky
+
+
+class OpenerOfAnInterruptedImport:
+    """Ctrl-C comes while a worker unpickles it, as it imports what a worker needs."""
+
+    def __call__(self):
+        return open_picky()
+
+    def __reduce__(self):
+        return interrupted_import, ()
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="no signal masks")
+def test_an_interrupt_does_not_reach_a_worker_that_still_imports(capfd):
+    """Named case: Ctrl-C in the first second printed tracebacks of workers; who started them ends them."""
+    assert list(LocalProcesses(2).run(OpenerOfAnInterruptedImport(), range(4))) == list(range(4))
+    assert "Traceback" not in capfd.readouterr().err
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
