@@ -24,7 +24,7 @@ from twohands.errors import TwoHandsError
 from twohands.geometry.boxes import box_iou
 from twohands.inference.estimator import HandEstimator
 from twohands.skeleton import LEFT, RIGHT
-from twohands.synth.backgrounds.photographs import Background, Backgrounds
+from twohands.synth.backgrounds.base import Background, Backgrounds
 from twohands.synth.production.executors import LocalProcesses
 from twohands.synth.sets.cache import FrameCache
 from twohands.training.batches import ONE_HAND_IOU

@@ -12,7 +12,7 @@ from twohands.training.batches import IndexRange, Joined, SampleSource
 from twohands.training.config import DataConfig
 
 if TYPE_CHECKING:
-    from twohands.synth.backgrounds.photographs import Backgrounds
+    from twohands.synth.backgrounds.base import Backgrounds
 
 SYNTHETIC = "synthetic"
 """Name of the built-in source that renders its pictures on the fly."""
@@ -103,10 +103,12 @@ def _synthetic(spec: DataConfig) -> SampleSource:
 
 def backgrounds_of(spec: DataConfig) -> Backgrounds:
     """What to put behind rendered hands."""
-    from twohands.synth.backgrounds.clips import RoomBackgrounds
+    from twohands.synth.backgrounds.base import MixedBackgrounds
     from twohands.synth.backgrounds.clutter import ClutteredBackgrounds
-    from twohands.synth.backgrounds.photographs import BackgroundFolder, MixedBackgrounds, ProceduralBackgrounds
+    from twohands.synth.backgrounds.photographs import BackgroundFolder
+    from twohands.synth.backgrounds.procedural import ProceduralBackgrounds
     from twohands.synth.backgrounds.remix import RemixedBackgrounds
+    from twohands.synth.backgrounds.rooms import RoomBackgrounds
 
     backgrounds: Backgrounds = MixedBackgrounds((ProceduralBackgrounds(), RoomBackgrounds()), (0.5, 0.5))
     folders = [BackgroundFolder(Path(name.strip())) for name in spec.backgrounds.split(",") if name.strip()]

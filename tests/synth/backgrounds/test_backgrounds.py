@@ -5,8 +5,10 @@ import numpy as np
 import pytest
 
 from twohands.errors import InputError
-from twohands.synth.backgrounds.photographs import BackgroundFolder, MixedBackgrounds, ProceduralBackgrounds, augment
+from twohands.synth.backgrounds.base import MixedBackgrounds
+from twohands.synth.backgrounds.photographs import BackgroundFolder, augment
 from twohands.synth.backgrounds.pictures import read_picture
+from twohands.synth.backgrounds.procedural import ProceduralBackgrounds
 from twohands.types import PinholeCamera
 
 

@@ -8,18 +8,11 @@ import numpy as np
 import pytest
 
 from twohands.errors import InputError
-from twohands.synth.backgrounds.clips import (
-    ClipSource,
-    RoomBackgrounds,
-    _Film,
-    assign_clips,
-    find_clips,
-    numbered,
-    open_clip,
-    unusable,
-)
+from twohands.synth.backgrounds.clip_sources import ClipSource, assign_clips, find_clips, numbered, unusable
+from twohands.synth.backgrounds.clips import _Film, open_clip
 from twohands.synth.backgrounds.panoramas import is_panorama
 from twohands.synth.backgrounds.photographs import Look
+from twohands.synth.backgrounds.rooms import RoomBackgrounds
 from twohands.types import PinholeCamera
 
 CAMERA = PinholeCamera.ego3dhands(160, 90)
@@ -213,7 +206,7 @@ def test_panorama_ahead_is_its_middle(folder, monkeypatch):
     atan(x / f) to the right of it x pixels to the right."""
     columns = np.tile((np.arange(1024) / 4).astype(np.uint8)[None, :, None], (512, 1, 3))
     cv2.imwrite(str(folder.parent / "columns.png"), columns)
-    monkeypatch.setattr("twohands.synth.backgrounds.clips._Head.rotation", lambda self, index: np.eye(3))
+    monkeypatch.setattr("twohands.synth.backgrounds.wandering.Head.rotation", lambda self, index: np.eye(3))
     monkeypatch.setattr("twohands.synth.backgrounds.clips.Look.apply", lambda self, picture: picture)
     view = clip_of(ClipSource("panorama", folder.parent / "columns.png")).frame(0)
     assert int(view[45, 80, 0]) == pytest.approx(128, abs=1.5)

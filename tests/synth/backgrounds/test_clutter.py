@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from twohands.synth.backgrounds.clutter import ClutteredBackgrounds, _lighting, cluttered, skin_toned
-from twohands.synth.backgrounds.photographs import ProceduralBackgrounds
+from twohands.synth.backgrounds.procedural import ProceduralBackgrounds
 from twohands.types import PinholeCamera
 
 CAMERA = PinholeCamera(100.0, 100.0, 80.0, 45.0, 160, 90)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from twohands.synth.backgrounds.photographs import ProceduralBackgrounds
+from twohands.synth.backgrounds.procedural import ProceduralBackgrounds
 from twohands.synth.backgrounds.remix import RemixedBackgrounds, joined, recoloured
 from twohands.types import PinholeCamera
 

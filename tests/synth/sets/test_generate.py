@@ -15,7 +15,7 @@ from twohands.datasets.inspect import inspect_dataset
 from twohands.errors import DataFormatError, InputError, TwoHandsError
 from twohands.geometry.canonical import canonical_from_camera
 from twohands.skeleton import ROOT
-from twohands.synth.backgrounds.photographs import Background
+from twohands.synth.backgrounds.base import Background
 from twohands.synth.production.executors import LocalProcesses
 from twohands.synth.scene.config import WILD, SynthConfig
 from twohands.synth.scene.sampling import sample_scene

@@ -12,7 +12,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from twohands.synth.backgrounds.photographs import SKIN_RGB, ChangedBackgrounds, skin_like
+from twohands.synth.backgrounds.base import ChangedBackgrounds
+from twohands.synth.backgrounds.procedural import SKIN_RGB, skin_like
 from twohands.types import PinholeCamera
 
 MOST_THINGS = 5

@@ -10,7 +10,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from twohands.synth.backgrounds.photographs import ChangedBackgrounds
+from twohands.synth.backgrounds.base import ChangedBackgrounds
 from twohands.types import PinholeCamera
 
 

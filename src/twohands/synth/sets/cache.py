@@ -19,7 +19,8 @@ import numpy as np
 from twohands.errors import DataFormatError, InputError
 from twohands.geometry.camera import project
 from twohands.instance_index import MANIFEST_FILE
-from twohands.synth.backgrounds.photographs import Backgrounds, ProceduralBackgrounds
+from twohands.synth.backgrounds.base import Backgrounds
+from twohands.synth.backgrounds.procedural import ProceduralBackgrounds
 from twohands.synth.production.executors import LocalProcesses
 from twohands.synth.production.manifest import claimed_folder, environment
 from twohands.synth.production.produce import check_room

@@ -18,7 +18,8 @@ import numpy as np
 from twohands.ego3dhands_format import instance_name
 from twohands.errors import InputError
 from twohands.skeleton import LEFT, RIGHT
-from twohands.synth.backgrounds.clips import Clip, ClipAssignment, ClipSource, assign_clips, open_clip
+from twohands.synth.backgrounds.clip_sources import ClipAssignment, ClipSource, assign_clips
+from twohands.synth.backgrounds.clips import Clip, open_clip
 from twohands.synth.production.manifest import environment
 from twohands.synth.production.produce import Made
 from twohands.synth.render.choice import Renderer, RendererName, open_fabrics, open_renderer, renderer_version
@@ -31,7 +32,7 @@ from twohands.synth.scene.appearance import (
     sample_shape,
     sample_skin,
     sample_skin_detail,
-    woven,
+    woven
 )
 from twohands.synth.scene.body import BONES_PER_SIDE, Body, forward_kinematics, load_asset, posed_joints
 from twohands.synth.scene.config import SynthConfig

@@ -10,7 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from twohands.ego3dhands_format import instance_name
-from twohands.synth.backgrounds.photographs import BackgroundFolder, Backgrounds, ProceduralBackgrounds
+from twohands.synth.backgrounds.base import Backgrounds
+from twohands.synth.backgrounds.photographs import BackgroundFolder
+from twohands.synth.backgrounds.procedural import ProceduralBackgrounds
 from twohands.synth.production.executors import Executor, LocalProcesses
 from twohands.synth.production.manifest import environment
 from twohands.synth.production.produce import Layout, Made, Outcome, Plan, produce

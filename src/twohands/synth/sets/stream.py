@@ -9,7 +9,8 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from twohands.geometry.camera import project
-from twohands.synth.backgrounds.photographs import Background, Backgrounds, ProceduralBackgrounds
+from twohands.synth.backgrounds.base import Background, Backgrounds
+from twohands.synth.backgrounds.procedural import ProceduralBackgrounds
 from twohands.synth.render.choice import Renderer, RendererName, open_renderer
 from twohands.synth.render.compositing import compose_frame
 from twohands.synth.render.lighting import lit_by, lit_inside
