@@ -19,8 +19,8 @@ from twohands.synth.render.blender import BlenderRenderer
 from twohands.synth.render.choice import Renderer
 from twohands.synth.render.raster import RasterRenderer
 from twohands.synth.scene.config import PRESETS
-from twohands.synth.scene.sampling import sample_scene
 from twohands.synth.scene.spec import SceneSpec
+from twohands.synth.sets.instances import sample_scene
 
 SCENES = 4
 WIDTH, HEIGHT = 480, 270

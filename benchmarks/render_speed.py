@@ -22,7 +22,7 @@ import numpy as np
 from twohands.synth.production.executors import LocalProcesses
 from twohands.synth.render.raster import RasterRenderer
 from twohands.synth.scene.config import PRESETS, SynthConfig
-from twohands.synth.scene.sampling import sample_scene
+from twohands.synth.sets.instances import sample_scene
 from twohands.synth.sets.static import StaticSet, generate_static
 from twohands.synth.sets.stream import SyntheticStream
 

@@ -29,26 +29,20 @@ from torch import Tensor, nn
 from torch.utils.data import DataLoader, Dataset
 
 from twohands.cli.output import check_output_folder
-from twohands.datasets.pose_targets import Segmentation
 from twohands.errors import TwoHandsError
 from twohands.inference.weights import network_files, read_card
 from twohands.models.checkpoint import save_network
 from twohands.models.presets import NetworkName
-from twohands.training.batches import (
-    Batch,
-    BatchDataset,
-    HeldOutBatches,
-    Segmenter,
-    StepsFrom,
-    calm_worker,
-    pose_batch,
-    segmentation_batch,
-    with_border,
-)
+from twohands.training.batches import Batch, BatchDataset, pose_batch, segmentation_batch, with_border
 from twohands.training.config import TrainConfig, folder_list, recipe, with_override
+from twohands.training.loading import HeldOutBatches, StepsFrom, calm_worker
+from twohands.training.log import Running
+from twohands.training.pose_targets import Segmentation
 from twohands.training.schedule import learning_rate, update_average
+from twohands.training.segmenter import Segmenter
 from twohands.training.sources import open_source
-from twohands.training.trainer import Running, fresh_state, take_step, validate
+from twohands.training.state import fresh_state
+from twohands.training.trainer import take_step, validate
 
 SETTINGS = (
     "loss.place=60",

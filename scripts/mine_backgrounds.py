@@ -19,7 +19,6 @@ import cv2
 import numpy as np
 
 from twohands.cli.output import check_output_folder
-from twohands.datasets.hand_views import hand_box
 from twohands.errors import TwoHandsError
 from twohands.geometry.boxes import box_iou
 from twohands.inference.estimator import HandEstimator
@@ -29,6 +28,7 @@ from twohands.synth.production.executors import LocalProcesses
 from twohands.synth.sets.cache import FrameCache
 from twohands.training.batches import ONE_HAND_IOU
 from twohands.training.config import DataConfig, folder_list
+from twohands.training.hand_views import hand_box
 from twohands.training.sources import backgrounds_of
 from twohands.types import PinholeCamera
 

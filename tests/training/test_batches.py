@@ -10,25 +10,17 @@ import torch
 from tests.builders import make_sample, make_samples
 from tests.training.tiny import NETWORKS, tiny_run
 
-from twohands.datasets.hand_views import cut_at_border, hand_box
-from twohands.datasets.pose_targets import Segmentation, crop_matrix, false_hand, shows_other_hand
 from twohands.errors import InputError
 from twohands.geometry.part_labels import hand_classes
 from twohands.geometry.segmentation import PERHAPS, certain_masks
 from twohands.models.checkpoint import save_network
 from twohands.models.presets import build_network
-from twohands.training.batches import (
-    BatchDataset,
-    IndexRange,
-    Joined,
-    Segmenter,
-    batch_loader,
-    pose_batch,
-    segmentation_batch,
-    segmentation_of,
-    validation_batches,
-)
+from twohands.training.batches import BatchDataset, IndexRange, Joined, pose_batch, segmentation_batch
 from twohands.training.config import AugmentConfig
+from twohands.training.hand_views import cut_at_border, hand_box
+from twohands.training.loading import batch_loader, validation_batches
+from twohands.training.pose_targets import Segmentation, crop_matrix, false_hand, shows_other_hand
+from twohands.training.segmenter import Segmenter, segmentation_of
 from twohands.training.sources import split
 
 SAMPLES = make_samples(5)

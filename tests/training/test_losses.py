@@ -7,9 +7,9 @@ import pytest
 import torch
 from tests.builders import make_sample
 
-from twohands.datasets.pose_targets import CropConfig, pose_target
 from twohands.skeleton import BONES, LEFT, RIGHT, ROOT
 from twohands.training import losses
+from twohands.training.pose_targets import CropConfig, pose_target
 
 
 def test_weighted_mean():

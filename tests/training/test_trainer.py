@@ -17,7 +17,8 @@ from twohands.models.presets import build_network
 from twohands.training.batches import BatchDataset
 from twohands.training.config import AugmentConfig, OptimConfig, TrainConfig, with_override
 from twohands.training.stages import build_stage, heatmap_losses, judge_losses, normalised
-from twohands.training.trainer import STATE_FILE, build_optimizer, train
+from twohands.training.state import build_optimizer
+from twohands.training.trainer import STATE_FILE, train
 
 SAMPLES = make_samples(6)
 STAGES = ("hand_seg_net", "pose_net_2d", "pose_net_3d")

@@ -10,7 +10,7 @@ from tests.datasets import fakes
 
 from twohands import ego3dhands_format as fmt
 from twohands.datasets.ego3dhands import Ego3DHands
-from twohands.datasets.inspect import inspect_dataset
+from twohands.datasets.inspection.inspect import inspect_dataset
 from twohands.visualization.dataset_page import dataset_page
 from twohands.visualization.svg import WIDTH, bin_shares, heat_map, histogram, nice_ceiling, nice_ticks, ranges
 

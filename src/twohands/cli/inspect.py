@@ -20,9 +20,9 @@ from rich.progress import Progress
 from rich.table import Table
 
 from twohands.cli.output import check_output_folder, page_bytes, write_file
-from twohands.datasets.contact_sheet import contact_sheet
 from twohands.datasets.ego3dhands import Ego3DHands
-from twohands.datasets.inspect import DatasetReport, inspect_dataset
+from twohands.datasets.inspection.contact_sheet import contact_sheet
+from twohands.datasets.inspection.inspect import DatasetReport, inspect_dataset
 from twohands.datasets.shards import ShardedEgo3DHands, open_ego3dhands
 from twohands.errors import InputError
 from twohands.types import HandSample

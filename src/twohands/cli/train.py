@@ -25,9 +25,9 @@ from twohands.cli.output import check_output_folder
 from twohands.errors import DataFormatError, InputError
 
 if TYPE_CHECKING:
-    from twohands.datasets.pose_targets import Segmentation
-    from twohands.training.batches import Segment
     from twohands.training.config import TrainConfig
+    from twohands.training.pose_targets import Segmentation
+    from twohands.training.segmenter import Segment
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ def open_segmentation(checkpoint: Path) -> Segment:
         CheckpointError: missing, damaged, or of another network.
     """
     from twohands.inference.estimator import HandEstimator
-    from twohands.training.batches import Segmenter, segmentation_of
+    from twohands.training.segmenter import Segmenter, segmentation_of
 
     if checkpoint.name != "hand_seg_net.onnx" or not (checkpoint.parent / "card.json").is_file():
         return Segmenter(checkpoint)

@@ -4,24 +4,28 @@ from __future__ import annotations
 
 import bisect
 import itertools
-import os
-import signal
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Protocol, cast
+from typing import Protocol
 
 import cv2
 import numpy as np
 import torch
 from torch import Tensor
-from torch.utils.data import DataLoader, Dataset, Sampler
+from torch.utils.data import Dataset
 
-from twohands.datasets.hand_views import cut_at_border, hand_box
-from twohands.datasets.pose_targets import (
+from twohands.errors import InputError
+from twohands.geometry.boxes import box_iou
+from twohands.geometry.part_labels import hand_classes
+from twohands.geometry.segmentation import as_one_hand
+from twohands.skeleton import LEFT, N_JOINTS, RIGHT
+from twohands.training.config import TrainConfig
+from twohands.training.hand_views import cut_at_border, hand_box
+from twohands.training.parallel import share_of_batch
+from twohands.training.pose_targets import (
     PoseTarget,
     Segmentation,
     false_hand,
@@ -29,37 +33,12 @@ from twohands.datasets.pose_targets import (
     pose_target,
     shows_other_hand,
 )
-from twohands.datasets.segmentation_targets import segmentation_target
-from twohands.errors import InputError, TwoHandsError
-from twohands.geometry.boxes import box_iou
-from twohands.geometry.part_labels import hand_classes
-from twohands.geometry.segmentation import (
-    as_one_hand,
-    boxes_from_energy,
-    hand_scores,
-    letterbox,
-    masks_from_logits,
-    network_input,
-)
-from twohands.models.blocks import fold_batch_norm
-from twohands.models.checkpoint import load_network
-from twohands.models.hand_seg_net import HandSegNetConfig
-from twohands.skeleton import LEFT, N_JOINTS, RIGHT
-from twohands.training.config import TrainConfig
-from twohands.training.parallel import share_of_batch
+from twohands.training.segmentation_targets import segmentation_target
+from twohands.training.segmenter import OpenSegmentation, Segment, Segmenter
 from twohands.types import HandSample
 
 Batch = dict[str, Tensor]
 Rngs = Sequence[np.random.Generator]
-Segment = Callable[[Sequence[np.ndarray]], list[Segmentation]]
-"""Masks and boxes of pictures, each (H, W, 3) uint8."""
-OpenSegmentation = Callable[[Path], Segment]
-"""What finds masks and boxes, from a file of HandSegNet."""
-WORKER_NICENESS = 19
-FAINT_THRESHOLD = 0.05
-"""HandSegNet's score from which on the pose networks learn from its boxes and masks. In use, only higher scores come
-before them; but mistakes with such scores are too rare for the judge to learn from, and shown faint mistakes alone, it
-takes every faint hand for one."""
 ONE_HAND_IOU = 0.3
 """Two boxes that overlap more than this around a single hand are taken for parts of it."""
 
@@ -142,58 +121,6 @@ def with_border(samples: Sequence[HandSample], share: float, rngs: Rngs) -> Sequ
     if not (rngs and share):
         return samples
     return [cut_at_border(one, rng) if rng.random() < share else one for one, rng in zip(samples, rngs, strict=True)]
-
-
-class Segmenter:
-    """A trained HandSegNet, as the pose stages will meet it but for its second look in doubt: the network and how its
-    maps are read.
-
-    Args:
-        checkpoint: written by the trainer, or the ONNX file of a preset.
-        device: where it runs.
-
-    Raises:
-        CheckpointError: missing, damaged, or of another network.
-    """
-
-    def __init__(self, checkpoint: Path, device: str = "cpu") -> None:
-        net = load_network("hand_seg_net", checkpoint).eval()
-        config = cast(HandSegNetConfig, net.config)
-        self.size = (config.height, config.width_px)
-        fold_batch_norm(net)
-        self.net = net.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
-        self.device = device
-
-    @torch.inference_mode()
-    def __call__(self, images: Sequence[np.ndarray]) -> list[Segmentation]:
-        """Masks and boxes, see `Segment`."""
-        canvases, places = zip(*(letterbox(image, self.size) for image in images), strict=True)
-        inputs = torch.from_numpy(network_input(np.stack(canvases))).contiguous(memory_format=torch.channels_last)
-        with torch.autocast(self.device, torch.bfloat16):
-            logits, energies = self.net(inputs.to(self.device))
-        # Back to one plane after the other: reductions over planes of interleaved channels are slow.
-        logits, energies = (
-            np.ascontiguousarray(m.float().cpu().numpy()) for m in (logits, torch.sigmoid(energies.float()))
-        )
-        found = []
-        for i, image in enumerate(images):
-            seg_logits, energy = places[i].content(logits[i]), places[i].content(energies[i])
-            scores = hand_scores(energy, seg_logits)
-            found.append(segmentation_of(seg_logits, energy, scores, image.shape[:2]))
-        return found
-
-
-def segmentation_of(
-    seg_logits: np.ndarray, energies: np.ndarray, scores: np.ndarray, image_size: tuple[int, int]
-) -> Segmentation:
-    """What HandSegNet's maps say, hands that are seen but faintly (`FAINT_THRESHOLD`) included.
-
-    Args:
-        seg_logits, energies, scores: (3, h, w), (2, h, w) and (2,) as `inference.estimator` has them.
-        image_size: (H, W) of the picture.
-    """
-    boxes = boxes_from_energy(energies, image_size, scores, threshold=FAINT_THRESHOLD)
-    return Segmentation(masks_from_logits(seg_logits, image_size, boxes.present), boxes.boxes_px)
 
 
 def pose_batch(
@@ -394,102 +321,3 @@ class BatchDataset(Dataset[Batch]):
                 pick = np.random.default_rng([self.config.seed, epoch, index, 2]).integers(len(self.source))
                 found[i] = self.source[int(pick)]
         return found
-
-
-class TimedBatches(Dataset[tuple[float, Batch | TwoHandsError]]):
-    """Batches, each with the seconds that it took to make; in place of one that cannot be made, what is wrong."""
-
-    def __init__(self, dataset: Dataset[Batch]) -> None:
-        self.dataset = dataset
-
-    def __getitem__(self, step: int) -> tuple[float, Batch | TwoHandsError]:
-        start = time.perf_counter()
-        try:
-            batch: Batch | TwoHandsError = self.dataset[step]
-        except TwoHandsError as error:  # raised in a worker, it would come out as that worker's traceback
-            batch = error
-        return time.perf_counter() - start, batch
-
-
-class StepsFrom(Sampler[int]):
-    """The step numbers start, start + 1, ..., stop - 1."""
-
-    def __init__(self, start: int, stop: int) -> None:
-        self.steps = range(start, stop)
-
-    def __iter__(self) -> Iterator[int]:
-        return iter(self.steps)
-
-    def __len__(self) -> int:
-        return len(self.steps)
-
-
-def batch_loader(dataset: BatchDataset, start: int) -> DataLoader[tuple[float, Batch | TwoHandsError]]:
-    """Loads the batches of the steps from `start` on, in order, ahead of their use, as `TimedBatches` does."""
-    return _loader(dataset, StepsFrom(start, len(dataset)), dataset.config.data.workers)
-
-
-class HeldOutBatches(Dataset[Batch]):
-    """Maps a number to a batch of held-out pictures, unchanged, in order."""
-
-    def __init__(
-        self, source: SampleSource, config: TrainConfig, open_segmentation: OpenSegmentation = Segmenter
-    ) -> None:
-        self.source, self.size = source, max(config.batch_images, 16)
-        self.build = BatchBuilder(config, open_segmentation)
-
-    def __len__(self) -> int:
-        return -(-len(self.source) // self.size)
-
-    def __getitem__(self, number: int) -> Batch:
-        start = number * self.size
-        return self.build([self.source[i] for i in range(start, min(start + self.size, len(self.source)))], ())
-
-
-def validation_batches(
-    source: SampleSource, config: TrainConfig, open_segmentation: OpenSegmentation = Segmenter
-) -> list[Batch]:
-    """All held-out pictures, unchanged, in order; kept in memory because they are used again and again.
-
-    A worker makes them if there are to be any: renderer and OpenVINO do not survive a fork, so this process, from which
-    the workers of the training are forked, must not open them.
-
-    Raises:
-        TwoHandsError: a picture cannot be used.
-    """
-    dataset = HeldOutBatches(source, config, open_segmentation)
-    kept = []
-    for _, batch in _loader(dataset, StepsFrom(0, len(dataset)), min(1, config.data.workers)):
-        if isinstance(batch, TwoHandsError):
-            raise batch
-        if len(batch["image"]):
-            kept.append({name: values.clone() for name, values in batch.items()})  # the worker's memory goes back
-    return kept
-
-
-def _loader(dataset: Dataset[Batch], steps: StepsFrom, workers: int) -> DataLoader[tuple[float, Batch | TwoHandsError]]:
-    return DataLoader(
-        TimedBatches(dataset),
-        batch_size=None,
-        sampler=steps,
-        num_workers=workers,
-        prefetch_factor=4 if workers else None,
-        worker_init_fn=calm_worker,
-        collate_fn=_unchanged,
-    )
-
-
-def calm_worker(_: int) -> None:
-    """Leave requests to end and, where there are too few for all, the cores to the training process: it finishes its
-    step and ends its workers, and its threads wait for each other, so that one that has to share its core holds up all
-    of them."""
-    if hasattr(os, "nice"):
-        os.nice(WORKER_NICENESS)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    cv2.setNumThreads(0)
-    torch.set_num_threads(1)
-
-
-def _unchanged(batch: Any) -> Any:
-    return batch

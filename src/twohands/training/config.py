@@ -9,11 +9,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from twohands.datasets.pose_targets import CropConfig
-from twohands.datasets.segmentation_targets import ZoomConfig
-from twohands.datasets.transforms import MaskConfig, PhotometricConfig
 from twohands.errors import InputError
 from twohands.models.presets import PAPER, SLIM, NetworkConfigs
+from twohands.training.pose_targets import CropConfig
+from twohands.training.segmentation_targets import ZoomConfig
+from twohands.training.transforms import MaskConfig, PhotometricConfig
 
 StageName = Literal["hand_seg_net", "pose_net_2d", "pose_net_3d"]
 RecipeName = Literal["paper", "ours"]

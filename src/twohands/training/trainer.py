@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-import csv
 import ctypes
 import json
 import platform
@@ -19,30 +17,24 @@ import torch
 from lightning_fabric import Fabric
 from torch import Tensor, nn
 
-from twohands.errors import CheckpointError, InputError, TwoHandsError
+from twohands.errors import InputError, TwoHandsError
 from twohands.files import write_whole
-from twohands.models.checkpoint import load_tensors, save_network, save_tensors
-from twohands.training.batches import (
-    Batch,
-    BatchDataset,
-    OpenSegmentation,
-    SampleSource,
-    Segmenter,
-    batch_loader,
-    validation_batches,
-)
+from twohands.models.checkpoint import save_network
+from twohands.training.batches import Batch, BatchDataset, SampleSource
 from twohands.training.config import OptimConfig, TrainConfig
-from twohands.training.muon import Muon, is_hidden
+from twohands.training.loading import batch_loader, validation_batches
+from twohands.training.log import RunLog, Running, cut_log
 from twohands.training.parallel import process_layout, share_batch_norm
 from twohands.training.schedule import learning_rate, progress, update_average
-from twohands.training.stages import Stage, build_stage
+from twohands.training.segmenter import OpenSegmentation, Segmenter
+from twohands.training.stages import Stage
+from twohands.training.state import TrainState, fresh_state
 
 STATE_FILE = "state.safetensors"
 CONFIG_FILE = "config.json"
 LOG_FILE = "log.csv"
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 """Numbers of glibc's mallopt, from malloc.h."""
-LOG_COLUMNS = ("iteration", "minutes", "split", "metric", "value")
 
 
 @dataclass(frozen=True)
@@ -60,94 +52,6 @@ class TrainResult:
     minutes: float
     figures: dict[str, float]
     checkpoints: dict[str, Path]
-
-
-def build_optimizer(stage: Stage, config: OptimConfig) -> torch.optim.Optimizer:
-    """The optimizer of a run; each group keeps its relative learning rate under the key "share".
-
-    AdamW and Muon spare vectors (biases, batch normalisation) from weight decay; Adam, as in the paper, does not. Muon
-    moves the hidden layers (`muon.is_hidden`).
-    """
-    groups: list[dict[str, Any]] = []
-    for parameters, share in stage.parameter_groups():
-        if config.optimizer in ("adamw", "muon"):
-            wide = [p for p in parameters if p.ndim > 1]
-            flat = [p for p in parameters if p.ndim <= 1]
-            if config.optimizer == "muon":
-                hidden, wide = [p for p in wide if is_hidden(p)], [p for p in wide if not is_hidden(p)]
-                groups.append({"params": hidden, "share": share, "weight_decay": config.weight_decay, "muon": True})
-            groups.append({"params": wide, "share": share, "weight_decay": config.weight_decay})
-            groups.append({"params": flat, "share": share, "weight_decay": 0.0})
-        else:
-            groups.append({"params": parameters, "share": share, "weight_decay": config.weight_decay})
-    if config.optimizer == "sgd":
-        return torch.optim.SGD(groups, lr=config.learning_rate)
-    kind = {"adam": torch.optim.Adam, "adamw": torch.optim.AdamW, "muon": Muon}[config.optimizer]
-    return kind(groups, lr=config.learning_rate, betas=(0.9, 0.999), fused=True)
-
-
-@dataclass
-class TrainState:
-    """All that changes during a run: what a resume needs."""
-
-    stage: Stage
-    average: Stage | None
-    optimizer: torch.optim.Optimizer
-    iteration: int = 0
-    elapsed_s: float = 0.0
-
-    @property
-    def best(self) -> Stage:
-        """The stage to validate and to export."""
-        return self.stage if self.average is None else self.average
-
-    def save(self, path: Path, config: TrainConfig) -> None:
-        """Write one safetensors file, atomically."""
-        tensors = {f"stage.{name}": tensor for name, tensor in self.stage.state_dict().items()}
-        if self.average is not None:
-            tensors |= {f"average.{name}": tensor for name, tensor in self.average.state_dict().items()}
-        for index, entries in self.optimizer.state_dict()["state"].items():
-            tensors |= {f"optimizer.{index}.{name}": value for name, value in entries.items() if value is not None}
-        header = {"iteration": self.iteration, "elapsed_s": self.elapsed_s, "config": config.to_dict()}
-        save_tensors(tensors, {"format": "twohands-training-state-1", "state": json.dumps(header)}, path)
-
-    def restore(self, path: Path, config: TrainConfig) -> None:
-        """Continue from a written file.
-
-        Raises:
-            CheckpointError: missing, damaged, or of a run with other networks.
-            InputError: of a run with another optimizer, without averaged weights, or that trained what this one keeps
-                fixed.
-        """
-        tensors, metadata = load_tensors(path)
-        if "state" not in metadata:
-            raise CheckpointError(f"{path} is not a saved training state")
-        header = json.loads(metadata["state"])
-        before = header["config"]["optim"]["optimizer"]
-        if before != config.optim.optimizer:
-            raise InputError(f"{path} is the state of a run with {before}, not {config.optim.optimizer}")
-        averaged = _below("average.", tensors)
-        if self.average is not None and not averaged:
-            raise InputError(f"{path} is the state of a run without averaged weights: resume it with optim.ema=0")
-        try:
-            self.stage.load_state_dict(_below("stage.", tensors))
-            if self.average is not None:
-                self.average.load_state_dict(averaged)
-        except RuntimeError as error:
-            raise CheckpointError(f"{path}: saved by a run with other networks") from error
-        entries: dict[int, dict[str, Tensor]] = {}
-        for name, tensor in _below("optimizer.", tensors).items():
-            index, key = name.split(".", 1)
-            entries.setdefault(int(index), {})[key] = tensor
-        groups = self.optimizer.state_dict()["param_groups"]
-        if entries.keys() - {index for group in groups for index in group["params"]}:
-            raise InputError(f"{path} is the state of a run that trained PoseNet2D along: optim.along_rate cannot be 0")
-        self.optimizer.load_state_dict({"state": entries, "param_groups": groups})
-        for parameter, values in self.optimizer.state.items():  # same memory layout, else other rounding
-            for key, value in values.items():
-                if value.shape == parameter.shape:
-                    values[key] = torch.empty_like(parameter).copy_(value)
-        self.iteration, self.elapsed_s = int(header["iteration"]), float(header["elapsed_s"])
 
 
 def train(
@@ -215,11 +119,11 @@ def train(
     if first:
         if not resume:
             state.save(state_path, config)  # before the config: a run that was killed at once can be resumed too
-        _cut_log(out / LOG_FILE, state.iteration)
+        cut_log(out / LOG_FILE, state.iteration)
         write_whole(out / CONFIG_FILE, (json.dumps(config.to_dict(), indent=2) + "\n").encode())
 
     held_out_batches = validation_batches(held_out, config, open_segmentation) if first else []
-    log = _Log(out / LOG_FILE, report) if first else None
+    log = RunLog(out / LOG_FILE, report) if first else None
     figures: dict[str, float] = {}
     running = Running(config, fabric.world_size)
     checked = -1
@@ -295,48 +199,6 @@ def _sums(fabric: Fabric, *values: float) -> list[float]:
     return fabric.all_reduce(numbers, reduce_op="sum").tolist()  # type: ignore[union-attr]
 
 
-class Running:
-    """What happened since the last row of the log.
-
-    Args:
-        config: the run.
-        world_size: number of processes.
-    """
-
-    def __init__(self, config: TrainConfig, world_size: int) -> None:
-        self._pictures = config.batch_images
-        self._makers = max(1, config.data.workers) * world_size
-        self._world_size = world_size
-        self.clear()
-
-    def clear(self) -> None:
-        """Forget everything."""
-        self.steps = 0
-        self._making_s = self._step_s = 0.0
-        self._sums: dict[str, float] = {}
-
-    def add(self, losses: dict[str, float], making_s: float, step_s: float) -> None:
-        """One step: its losses, the seconds that a worker took for this process's part of the batch, and the step's."""
-        self.steps += 1
-        self._making_s += making_s
-        self._step_s += step_s
-        for name, value in losses.items():
-            self._sums[name] = self._sums.get(name, 0.0) + value
-
-    def losses(self) -> dict[str, float]:
-        """Mean losses."""
-        return {name: value / self.steps for name, value in self._sums.items()}
-
-    def speeds(self) -> dict[str, float]:
-        """Pictures per second over all processes: stream_per_s that the workers can make, step_per_s that the steps
-        can take. The smaller one is the bottleneck."""
-        pictures = self.steps * self._pictures
-        return {
-            "stream_per_s": pictures / self._world_size * self._makers / max(self._making_s, 1e-9),
-            "step_per_s": pictures / max(self._step_s, 1e-9),
-        }
-
-
 class _StopSignal:
     """While active, an interrupt or a request to end is only noted, so that the running step can be finished."""
 
@@ -356,16 +218,6 @@ class _StopSignal:
 
     def _note(self, *_: object) -> None:
         self.asked = True
-
-
-def fresh_state(config: TrainConfig, weights: Sequence[Path], resume: bool) -> TrainState:
-    """Networks, averaged networks and optimizer, before any step."""
-    stage = build_stage(config, weights, require_weights=not resume)
-    stage = stage.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    average = None
-    if config.optim.ema:
-        average = copy.deepcopy(stage).requires_grad_(False).eval()
-    return TrainState(stage, average, build_optimizer(stage, config.optim))
 
 
 def take_step(
@@ -431,35 +283,3 @@ def _without_paths(data: dict[str, Any]) -> dict[str, Any]:
         **{key: ", ".join(parts) for key, parts in names.items()},
         "segmentation": bool(data["segmentation"]),
     }
-
-
-class _Log:
-    """Appends rows to the log and reports one line per entry."""
-
-    def __init__(self, path: Path, report: Callable[[str], None]) -> None:
-        self.path, self.report = path, report
-        if not path.exists():
-            write_whole(path, (",".join(LOG_COLUMNS) + "\n").encode())
-
-    def write(self, state: TrainState, split: str, values: dict[str, float]) -> None:
-        minutes = f"{state.elapsed_s / 60:.3f}"
-        with self.path.open("a", newline="", encoding="utf-8") as file:
-            rows = csv.writer(file)
-            for name, value in values.items():
-                rows.writerow([state.iteration, minutes, split, name, f"{value:.6g}"])
-        shown = "  ".join(f"{name} {value:.4g}" for name, value in values.items())
-        self.report(f"{state.iteration:>7}  {float(minutes):7.2f} min  {split:<10}  {shown}")
-
-
-def _cut_log(path: Path, iteration: int) -> None:
-    """Drop rows written after the state that a run starts from, all of them if it starts anew, and a last one that a
-    kill has cut short."""
-    if not path.exists():
-        return
-    header, *rows = path.read_text(encoding="utf-8").split("\n")[:-1]
-    kept = [row for row in rows if iteration and int(row.split(",", 1)[0]) <= iteration]
-    write_whole(path, ("\n".join([header, *kept]) + "\n").encode())
-
-
-def _below(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
-    return {name.removeprefix(prefix): tensor for name, tensor in tensors.items() if name.startswith(prefix)}

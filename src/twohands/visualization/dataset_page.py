@@ -9,8 +9,8 @@ from html import escape
 import cv2
 import numpy as np
 
-from twohands.datasets.distributions import Distributions
-from twohands.datasets.inspect import DatasetReport
+from twohands.datasets.inspection.distributions import Distributions
+from twohands.datasets.inspection.inspect import DatasetReport
 from twohands.skeleton import FINGERS
 from twohands.visualization.svg import heat_map, histogram, ranges
 

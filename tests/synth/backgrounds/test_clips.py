@@ -92,7 +92,7 @@ def test_frames_of_a_folder_are_in_the_order_of_their_numbers(folder):
 
 
 def test_every_sequence_has_its_own_clip_and_stills_come_last(folder):
-    assignment = assign_clips(folder, seed=3, count=10)
+    assignment = assign_clips(folder, np.random.default_rng(3), 10)
     assert len(set(assignment.sources)) == 10
     assert {source.kind for source in assignment.sources[:3]} == {"video", "frames", "panorama"}
     assert {source.kind for source in assignment.sources[3:]} == {"still"}
@@ -100,24 +100,24 @@ def test_every_sequence_has_its_own_clip_and_stills_come_last(folder):
         ("broken.mp4", "not a video that can be decoded"),
         ("short.avi", "0.5 s long"),
     ]
-    assert assign_clips(folder, seed=3, count=4).sources == assignment.sources[:4]
-    assert assign_clips(folder, seed=4, count=10).sources != assignment.sources
-    assert len(assign_clips(folder, seed=3, count=60).sources) == 60  # 36 usable ones, then again
+    assert assign_clips(folder, np.random.default_rng(3), 4).sources == assignment.sources[:4]
+    assert assign_clips(folder, np.random.default_rng(4), 10).sources != assignment.sources
+    assert len(assign_clips(folder, np.random.default_rng(3), 60).sources) == 60  # 36 usable ones, then again
 
 
 def test_no_folder_means_procedural_rooms():
-    assignment = assign_clips(None, seed=0, count=2)
+    assignment = assign_clips(None, np.random.default_rng(0), 2)
     assert assignment.sources == (ClipSource("room"),) * 2 and not assignment.skipped
 
 
 def test_bad_folders_are_named(tmp_path):
     with pytest.raises(InputError, match="does not exist"):
-        assign_clips(tmp_path / "nowhere", 0, 1)
+        assign_clips(tmp_path / "nowhere", np.random.default_rng(0), 1)
     with pytest.raises(InputError, match="no video or picture"):
-        assign_clips(tmp_path, 0, 1)
+        assign_clips(tmp_path, np.random.default_rng(0), 1)
     (tmp_path / "broken.mp4").write_bytes(b"no video")
     with pytest.raises(InputError, match=r"can be read: broken\.mp4: not a video"):
-        assign_clips(tmp_path, 0, 1)
+        assign_clips(tmp_path, np.random.default_rng(0), 1)
     assert unusable(ClipSource("still", tmp_path / "gone.png")) == "not a picture that can be read"
 
 

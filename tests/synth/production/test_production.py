@@ -18,7 +18,6 @@ from twohands.synth.production import produce as production_module
 from twohands.synth.production import sinks
 from twohands.synth.production.executors import LocalProcesses, ordered
 from twohands.synth.production.produce import Outcome, Plan, produce
-from twohands.synth.sets.seeds import KINDS, SPLITS, stream_seed
 
 HERE = LocalProcesses(1)
 LAYOUTS = ["ego3dhands", "webdataset"]
@@ -287,15 +286,6 @@ def test_results_come_in_order_with_few_in_flight():
         results.append(result)
         assert len(started) <= len(results) + 8
     assert results == list(range(30))
-
-
-def test_kinds_splits_and_seeds_share_nothing():
-    seeds = {stream_seed(seed, kind, split) for seed in range(50) for kind in KINDS for split in SPLITS}
-    assert len(seeds) == 50 * 4 * 3
-    assert all(0 <= seed < 2**128 for seed in seeds)
-    assert stream_seed(7, "frames") == stream_seed(7, "frames", "train")
-    with pytest.raises(InputError, match="seed must be 0 or"):
-        stream_seed(-1, "static")
 
 
 def test_errors_of_workers_arrive_whole():

@@ -15,8 +15,9 @@ from twohands.synth.render.blender import BlenderRenderer, place_camera
 from twohands.synth.render.nodes import Value, add_node
 from twohands.synth.render.raster import RasterRenderer
 from twohands.synth.scene.config import PAPER, WILD
-from twohands.synth.scene.sampling import sample_scene, sees_the_person
+from twohands.synth.scene.sampling import sees_the_person
 from twohands.synth.scene.things import NO_LABEL
+from twohands.synth.sets.instances import sample_scene
 from twohands.types import PinholeCamera
 
 pytestmark = pytest.mark.skipif(

@@ -12,8 +12,8 @@ from twohands.synth.render.raster import RasterRenderer
 from twohands.synth.render.surface import surface
 from twohands.synth.scene.body import load_asset
 from twohands.synth.scene.config import PAPER, WILD, SynthConfig
-from twohands.synth.scene.sampling import sample_scene
 from twohands.synth.scene.spec import BARE, PATTERNS, SkinDetail
+from twohands.synth.sets.instances import sample_scene
 
 VEINS, CREASES, FRECKLES, MOLES = range(4)
 FINGERS = range(1, 5)

@@ -15,9 +15,9 @@ from twohands.synth.render.raster import RasterRenderer
 from twohands.synth.render.surface import posed_vertices, surface
 from twohands.synth.scene.body import load_asset, skin
 from twohands.synth.scene.config import WILD, SynthConfig
-from twohands.synth.scene.sampling import sample_scene
 from twohands.synth.scene.spec import BARE
 from twohands.synth.scene.things import vertex_normals
+from twohands.synth.sets.instances import sample_scene
 
 CONFIG = SynthConfig(width=480, height=270)
 

@@ -12,8 +12,8 @@ from twohands.skeleton import part_label
 from twohands.synth.render.raster import RasterRenderer
 from twohands.synth.scene.config import WILD, SynthConfig
 from twohands.synth.scene.fabrics import MOST_CHANGED, PERIOD_M, Fabric, FabricFolder, Tile, linear
-from twohands.synth.scene.sampling import sample_scene
 from twohands.synth.scene.spec import BARE
+from twohands.synth.sets.instances import sample_scene
 from twohands.synth.sets.sequences import Sequence, SequenceSet
 from twohands.synth.sets.static import StaticSet, generate_static
 

@@ -7,7 +7,7 @@ from twohands.skeleton import LEFT, RIGHT
 from twohands.synth.scene.body import forward_kinematics, load_asset, posed_joints
 from twohands.synth.scene.config import SynthConfig
 from twohands.synth.scene.pose import ArmAnatomy, HandAngles, rotation_about, signed_angle
-from twohands.synth.scene.sampling import sample_scene
+from twohands.synth.sets.instances import sample_scene
 
 MIRROR = np.array([-1.0, 1.0, 1.0])
 

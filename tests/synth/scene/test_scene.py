@@ -17,12 +17,12 @@ from twohands.synth.scene.sampling import (
     inside_image,
     looking_from,
     sample_camera,
-    sample_scene,
     sees_the_person,
     worn_on_the_head,
 )
 from twohands.synth.scene.spec import BARE, moved
 from twohands.synth.scene.things import NO_LABEL
+from twohands.synth.sets.instances import sample_scene
 
 CONFIG = SynthConfig(width=480, height=270)
 

@@ -9,9 +9,9 @@ from twohands.skeleton import N_PART_LABELS, PART_NAMES, part_label
 from twohands.synth.scene.body import load_asset, skin
 from twohands.synth.scene.collision import capsules, segment_distance
 from twohands.synth.scene.config import WILD
-from twohands.synth.scene.sampling import sample_scene
 from twohands.synth.scene.spec import moved
 from twohands.synth.scene.things import NO_LABEL, band, superquadric
+from twohands.synth.sets.instances import sample_scene
 
 LADEN = {"objects": 1.0, "watches": 1.0, "rings": 1.0, "gloves": 0.0, "sleeves": 0.0}
 CONFIG = dataclasses.replace(WILD, width=480, height=270, webcam=0.0, free_view=0.0, pitch=(0.0, 0.0), **LADEN)

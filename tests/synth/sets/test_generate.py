@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 
 from twohands.datasets.ego3dhands import Ego3DHands, read_instance
-from twohands.datasets.inspect import inspect_dataset
+from twohands.datasets.inspection.inspect import inspect_dataset
 from twohands.errors import DataFormatError, InputError, TwoHandsError
 from twohands.geometry.canonical import canonical_from_camera
 from twohands.skeleton import ROOT
 from twohands.synth.backgrounds.base import Background
 from twohands.synth.production.executors import LocalProcesses
 from twohands.synth.scene.config import WILD, SynthConfig
-from twohands.synth.scene.sampling import sample_scene
 from twohands.synth.sets.cache import FrameCache, build_cache
+from twohands.synth.sets.instances import sample_scene
 from twohands.synth.sets.seeds import stream_seed
 from twohands.synth.sets.static import StaticSet, generate_static
 from twohands.synth.sets.stream import SyntheticStream

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from twohands.datasets.ego3dhands import Ego3DHands, read_instance
-from twohands.datasets.inspect import inspect_dataset
+from twohands.datasets.inspection.inspect import inspect_dataset
 from twohands.errors import InputError
 from twohands.geometry.camera import project
 from twohands.synth.production.executors import LocalProcesses

@@ -8,9 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from twohands.synth.backgrounds.panoramas import (
-    Surroundings
-)
+from twohands.synth.backgrounds.panoramas import Surroundings
 from twohands.types import PinholeCamera
 
 

@@ -14,12 +14,7 @@ import cv2
 import numpy as np
 
 from twohands.errors import InputError
-from twohands.synth.backgrounds.panoramas import (
-    ASPECT,
-    is_panorama,
-    light_file,
-    unreadable_light
-)
+from twohands.synth.backgrounds.panoramas import ASPECT, is_panorama, light_file, unreadable_light
 from twohands.synth.backgrounds.pictures import IMAGE_SUFFIXES, decode_whole
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg")
@@ -67,14 +62,14 @@ class ClipAssignment:
     name: str
 
 
-def assign_clips(folder: Path | None, seed: int, count: int) -> ClipAssignment:
+def assign_clips(folder: Path | None, rng: np.random.Generator, count: int) -> ClipAssignment:
     """Gives every sequence its own clip as long as there are enough.
 
     Videos, folders of frames and panoramas come first, in random order; then stills; then all again, seen differently.
 
     Args:
         folder: searched with its subfolders; None for procedural rooms.
-        seed: of the set.
+        rng: draws their order.
         count: number of sequences. A larger count leaves the earlier ones as they are.
 
     Raises:
@@ -84,7 +79,6 @@ def assign_clips(folder: Path | None, seed: int, count: int) -> ClipAssignment:
         return ClipAssignment((ClipSource("room"),) * count, (), "procedural rooms")
     found = find_clips(folder)
     digest = hashlib.sha256("\n".join(f"{s.kind} {s.path}" for s in _relative(found, folder)).encode()).hexdigest()[:12]
-    rng = np.random.default_rng(np.random.SeedSequence(entropy=seed, spawn_key=(1 << 44,)))
     moving = [source for source in found if source.kind != "still"]
     stills = [source for source in found if source.kind == "still"]
     order = [group[i] for group in (moving, stills) for i in rng.permutation(len(group))]

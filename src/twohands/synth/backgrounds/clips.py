@@ -14,12 +14,7 @@ import numpy as np
 
 from twohands.errors import InputError
 from twohands.synth.backgrounds.clip_sources import ClipSource, numbered
-from twohands.synth.backgrounds.panoramas import (
-    Surroundings,
-    light_of,
-    rays,
-    view
-)
+from twohands.synth.backgrounds.panoramas import Surroundings, light_of, rays, view
 from twohands.synth.backgrounds.photographs import Look
 from twohands.synth.backgrounds.rooms import Room
 from twohands.synth.backgrounds.wandering import Head, Wander

@@ -16,7 +16,7 @@ from twohands.synth.backgrounds.panoramas import (
     rays,
     turn,
     unreadable_light,
-    view
+    view,
 )
 from twohands.synth.backgrounds.pictures import PictureFolder, read_picture
 from twohands.types import PinholeCamera

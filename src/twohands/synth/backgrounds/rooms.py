@@ -6,10 +6,7 @@ import cv2
 import numpy as np
 
 from twohands.synth.backgrounds.base import Background
-from twohands.synth.backgrounds.panoramas import (
-    rays,
-    turned
-)
+from twohands.synth.backgrounds.panoramas import rays, turned
 from twohands.synth.backgrounds.photographs import Look
 from twohands.synth.backgrounds.procedural import procedural_picture
 from twohands.synth.backgrounds.wandering import Head, Wander

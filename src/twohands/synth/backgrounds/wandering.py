@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from twohands.synth.backgrounds.panoramas import (
-    turn
-)
+from twohands.synth.backgrounds.panoramas import turn
 
 
 class Wander:

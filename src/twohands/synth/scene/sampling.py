@@ -1,4 +1,4 @@
-"""Draws one scene: who, in which pose, under which light. A pure function of (config, seed, index)."""
+"""Draws one scene: who, in which pose, under which light."""
 
 from __future__ import annotations
 
@@ -23,12 +23,10 @@ from twohands.synth.scene.collision import hand_enters_itself, hands_collide
 from twohands.synth.scene.config import SynthConfig
 from twohands.synth.scene.fabrics import FabricFolder
 from twohands.synth.scene.pose import ArmAnatomy, HandAngles, rotation_about, unit
-from twohands.synth.scene.spec import SceneSpec, body_of, moved, viewed
-from twohands.synth.scene.things import sample_person, sample_things
+from twohands.synth.scene.spec import Clothes, SceneSpec, Skin, body_of, moved, viewed
+from twohands.synth.scene.things import Thing, sample_person, sample_things
 from twohands.types import PinholeCamera
 
-_FABRIC_STREAM = 1 << 48
-"""Offset of the seeds that draw fabrics, apart from those of instances."""
 MAX_TRIES = 400
 TRIES_PER_VIEW = 10
 """Attempts to pose a person before another camera: some narrow views show no hand of the box."""
@@ -38,11 +36,6 @@ TRIES_PER_VIEW = 10
 def _anatomy(shape: tuple[float, ...]) -> tuple[ArmAnatomy, ArmAnatomy]:
     body = body_of(shape)
     return ArmAnatomy(body, LEFT), ArmAnatomy(body, RIGHT)
-
-
-def instance_rng(seed: int, index: int) -> np.random.Generator:
-    """The generator that owns instance `index` of the set with this seed, whatever the number of workers."""
-    return np.random.default_rng(np.random.SeedSequence(entropy=seed, spawn_key=(index,)))
 
 
 _FINGERS_WITH_THUMB = np.array(
@@ -174,14 +167,21 @@ def worn_on_the_head(view: np.ndarray) -> bool:
     return bool(np.linalg.norm(view[:, :3].T @ view[:, 3]) < ABOUT_THE_EYES_M)
 
 
-def sample_scene(config: SynthConfig, seed: int, index: int, fabrics: FabricFolder | None = None) -> SceneSpec:
-    """One random instance.
+def draw_scene(
+    config: SynthConfig,
+    index: int,
+    rng: np.random.Generator,
+    fabrics: FabricFolder | None,
+    fabric_rng: np.random.Generator,
+) -> SceneSpec:
+    """One random scene.
 
     Args:
         config: distributions.
-        seed: of the whole set.
-        index: of the instance; the same (config, seed, index) gives the same scene anywhere.
+        index: of the instance in its set.
+        rng: draws all but the fabrics.
         fabrics: for sleeves and gloves; plain and striped ones if None. Nothing else depends on them.
+        fabric_rng: draws one of them.
 
     Returns:
         The scene.
@@ -189,7 +189,6 @@ def sample_scene(config: SynthConfig, seed: int, index: int, fabrics: FabricFold
     Raises:
         InputError: the hand box cannot be reached or seen with this configuration.
     """
-    rng = instance_rng(seed, index)
     for attempt in range(MAX_TRIES):
         if attempt % TRIES_PER_VIEW == 0:
             shape = sample_shape(config, rng)
@@ -222,12 +221,9 @@ def sample_scene(config: SynthConfig, seed: int, index: int, fabrics: FabricFold
     joints_m = np.where(present[:, None, None], moved(view, joints) * scale, np.nan)
     lighting = sample_lighting(config, rng)
     skin, clothes = sample_skin(config, rng), sample_clothes(config, rng)
-    clothes = woven(clothes, fabrics, instance_rng(seed, _FABRIC_STREAM + index))
-    bare = clothes.glove_until, clothes.sleeve_from
+    clothes = woven(clothes, fabrics, fabric_rng)
     transforms = forward_kinematics(body, rotations.reshape(-1, 3, 3))
-    things = sample_things(config, body, transforms, joints, present, bare, rng)
-    if sees_the_person(view):
-        things += sample_person(body, transforms, present, skin.albedo, clothes.sleeve_albedo, rng)
+    things = sample_belongings(config, body, transforms, joints, present, view, skin, clothes, rng)
     skin = dataclasses.replace(skin, detail=sample_skin_detail(config, rng))
     return SceneSpec(
         camera,
@@ -243,6 +239,36 @@ def sample_scene(config: SynthConfig, seed: int, index: int, fabrics: FabricFold
         clothes,
         things,
     )
+
+
+def sample_belongings(
+    config: SynthConfig,
+    body: Body,
+    transforms: np.ndarray,
+    joints: np.ndarray,
+    present: np.ndarray,
+    view: np.ndarray,
+    skin: Skin,
+    clothes: Clothes,
+    rng: np.random.Generator,
+) -> tuple[Thing, ...]:
+    """What the person holds and wears, and as much of the person beside the arms as the camera may see.
+
+    Args:
+        config: shares of hands that hold an object, wear a watch, wear a ring.
+        body: the person.
+        transforms: (48, 3, 4) posed bones, frame between the eyes, body's metres.
+        joints: (2, 22, 3) in the same frame.
+        present: (2,) bool.
+        view: (3, 4) from the frame between the eyes to the camera.
+        skin, clothes: the person's.
+        rng: the only source of randomness.
+    """
+    bare = clothes.glove_until, clothes.sleeve_from
+    things = sample_things(config, body, transforms, joints, present, bare, rng)
+    if sees_the_person(view):
+        things += sample_person(body, transforms, present, skin.albedo, clothes.sleeve_albedo, rng)
+    return things
 
 
 ABOUT_THE_EYES_M = 0.3

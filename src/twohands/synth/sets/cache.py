@@ -28,12 +28,10 @@ from twohands.synth.render.choice import RendererName, open_fabrics, renderer_ve
 from twohands.synth.render.compositing import compose
 from twohands.synth.render.sensor import expose, sample_sensor
 from twohands.synth.scene.config import SynthConfig
-from twohands.synth.scene.sampling import instance_rng
-from twohands.synth.sets.seeds import stream_seed
+from twohands.synth.sets.seeds import instance_rng, stream_seed
 from twohands.synth.sets.stream import SyntheticStream, labelled
 from twohands.types import HandSample, PinholeCamera
 
-_VARIANT_STREAM = 1 << 41
 FORMAT = "frames-2"
 """Of the manifest; "frames-1" drew the scenes of a static set of the same seed, and is read just the same."""
 GLARE_RATE = 0.1
@@ -225,7 +223,7 @@ class FrameCache:
         rgba = np.asarray(arrays["rgba"][at])
         labels = np.asarray(arrays["labels"][at])
         # Keyed by the frame itself, so that held-out frames never share a draw with training ones.
-        rng = instance_rng(self.seed, _VARIANT_STREAM + variant * len(arrays["present"]) + at)
+        rng = instance_rng(self.seed, variant * len(arrays["present"]) + at, "variant")
         fx, fy, cx, cy = map(float, arrays["intrinsics"][at])
         camera = PinholeCamera(fx, fy, cx, cy, self._width, self._height)
         background = self.backgrounds.sample(rng, camera).picture

@@ -2,6 +2,8 @@
 
 A user gives one whole number. What reaches the scenes is a 128-bit number made from it, the kind of set and the split,
 by numpy's `SeedSequence`, so that seed 0 of a training cache has nothing in common with seed 0 of a static test set.
+
+Within a set, every part of an instance or a sequence has random numbers of its own: all their keys stand here.
 """
 
 from __future__ import annotations
@@ -18,6 +20,32 @@ Split = Literal["train", "val", "test"]
 KINDS: Final[dict[str, int]] = {"static": 0, "dynamic": 1, "frames": 2, "stream": 3}
 """Numbers are written into the seeds: never change one, add new ones at the end."""
 SPLITS: Final[dict[str, int]] = {"train": 0, "val": 1, "test": 2}
+
+
+InstancePart = Literal["scene", "background", "variant", "light", "sensor", "clips", "fabric"]
+SequencePart = Literal["motion", "look", "things", "clip", "camera", "noise", "fabric"]
+
+INSTANCE_PARTS: Final[dict[str, int]] = {
+    "scene": 0,
+    "background": 1 << 40,
+    "variant": 1 << 41,
+    "light": 1 << 42,
+    "sensor": 1 << 43,
+    "clips": 1 << 44,
+    "fabric": 1 << 48,
+}
+"""What is added to an instance's index, for every part of it; like KINDS, never change one. "variant" counts the
+variants of cached frames; "clips", with index 0, is for the order of a dynamic set's backgrounds."""
+SEQUENCE_PARTS: Final[dict[str, int]] = {
+    "motion": 1 << 42,
+    "look": 1 << 43,
+    "things": 1 << 44,
+    "clip": 1 << 45,
+    "camera": 1 << 46,
+    "noise": 1 << 47,
+    "fabric": 1 << 48,
+}
+"""The same for a sequence, to which its frame is added; the index is a second number of the key."""
 
 
 def stream_seed(seed: int, kind: Kind, split: Split = "train") -> int:
@@ -40,3 +68,27 @@ def stream_seed(seed: int, kind: Kind, split: Split = "train") -> int:
         raise InputError(f"expected a kind of {', '.join(KINDS)} and a split of {', '.join(SPLITS)}: {kind}, {split}")
     words = np.random.SeedSequence(entropy=seed, spawn_key=(KINDS[kind], SPLITS[split])).generate_state(4, np.uint32)
     return sum(int(word) << (32 * place) for place, word in enumerate(words))
+
+
+def instance_rng(seed: int, index: int, part: InstancePart = "scene") -> np.random.Generator:
+    """The generator that owns one part of instance `index` of the set with this seed, whatever the number of workers.
+
+    Args:
+        seed: of the set, see `stream_seed`.
+        index: of the instance, 0 <= index < 2**40.
+        part: of it.
+    """
+    return np.random.default_rng(np.random.SeedSequence(entropy=seed, spawn_key=(INSTANCE_PARTS[part] + index,)))
+
+
+def sequence_rng(seed: int, index: int, part: SequencePart, frame: int = 0) -> np.random.Generator:
+    """The generator that owns one part of sequence `index`, or of one of its frames.
+
+    Args:
+        seed: of the set, see `stream_seed`.
+        index: of the sequence, 0 or larger.
+        part: of it.
+        frame: 0 for what stays the same in all frames.
+    """
+    key = (SEQUENCE_PARTS[part] + frame, index)
+    return np.random.default_rng(np.random.SeedSequence(entropy=seed, spawn_key=key))

@@ -32,23 +32,20 @@ from twohands.synth.scene.appearance import (
     sample_shape,
     sample_skin,
     sample_skin_detail,
-    woven
+    woven,
 )
 from twohands.synth.scene.body import BONES_PER_SIDE, Body, forward_kinematics, load_asset, posed_joints
 from twohands.synth.scene.config import SynthConfig
 from twohands.synth.scene.fabrics import FabricFolder
 from twohands.synth.scene.motion import Arm, HandMotion, MotionConfig, in_picture, plan_motion
 from twohands.synth.scene.pose import ArmAnatomy
-from twohands.synth.scene.sampling import sample_camera, sees_the_person, worn_on_the_head
+from twohands.synth.scene.sampling import sample_belongings, sample_camera, worn_on_the_head
 from twohands.synth.scene.spec import SceneSpec, moved, viewed
-from twohands.synth.scene.things import Thing, sample_person, sample_things
-from twohands.synth.sets.seeds import Split, stream_seed
+from twohands.synth.scene.things import Thing
+from twohands.synth.sets.seeds import Split, instance_rng, sequence_rng, stream_seed
 from twohands.synth.sets.writer import encode_instance
 from twohands.types import RenderedFrame
 
-_MOTION_STREAM, _LOOK_STREAM, _THINGS_STREAM, _CLIP_STREAM = 1 << 42, 1 << 43, 1 << 44, 1 << 45
-_CAMERA_STREAM, _NOISE_STREAM, _FABRIC_STREAM = 1 << 46, 1 << 47, 1 << 48
-"""Offsets of the seeds of a sequence's parts, apart from each other and from those of single instances."""
 BYTES_PER_PIXEL = 1.4
 """All files of a frame together, on the average."""
 
@@ -94,7 +91,7 @@ class SequenceSet:
         Raises:
             InputError: the folder is missing or holds nothing that can be read.
         """
-        return assign_clips(self.backgrounds, self.scene_seed, self.sequences)
+        return assign_clips(self.backgrounds, instance_rng(self.scene_seed, 0, "clips"), self.sequences)
 
     @cached_property
     def cloths(self) -> FabricFolder | None:
@@ -160,17 +157,16 @@ class Sequence:
     def __init__(self, sequence_set: SequenceSet, index: int) -> None:
         self.set, self.index = sequence_set, index
         config = sequence_set.config
-        rng = _rng(sequence_set.scene_seed, _LOOK_STREAM, index)
+        rng = sequence_rng(sequence_set.scene_seed, index, "look")
         self.shape = sample_shape(config, rng)
         self.skin, self.lighting = sample_skin(config, rng), sample_lighting(config, rng)
-        own = _rng(sequence_set.scene_seed, _FABRIC_STREAM, index)
+        own = sequence_rng(sequence_set.scene_seed, index, "fabric")
         self.clothes = woven(sample_clothes(config, rng), sequence_set.cloths, own)
         self.camera, self.view = sample_camera(config, rng)
         self.lighting = replace(self.lighting, positions=moved(self.view, self.lighting.positions))
         self.skin = replace(self.skin, detail=sample_skin_detail(config, rng))
-        self._bare = self.clothes.glove_until, self.clothes.sleeve_from
         self._worn = replace(config, objects=0.0)  # what a moving hand would have to grasp and let go
-        rng = _rng(sequence_set.scene_seed, _CAMERA_STREAM, index)
+        rng = sequence_rng(sequence_set.scene_seed, index, "camera")
         self.takes_background_light = bool(rng.random() < config.background_light)
         self.sensor = sample_sensor(config.sensor, rng)
         body = load_asset().body(self.shape)
@@ -198,7 +194,7 @@ class Sequence:
         A camera before or beside the person would still see the upper arm of a hand that has left: there, none leaves.
         """
         settings = self.set.motion if worn_on_the_head(self.view) else replace(self.set.motion, leave_rate=0.0)
-        rng = _rng(self.set.scene_seed, _MOTION_STREAM, self.index)
+        rng = sequence_rng(self.set.scene_seed, self.index, "motion")
         return plan_motion(self.set.config, settings, self.arms, self.camera, self.view, self.times, rng)
 
     def scene(self, frame: int) -> SceneSpec:
@@ -239,11 +235,10 @@ class Sequence:
 
     def _things(self, transforms: np.ndarray, joints: np.ndarray, present: np.ndarray) -> tuple[Thing, ...]:
         """The same draws in every frame."""
-        rng = _rng(self.set.scene_seed, _THINGS_STREAM, self.index)
-        things = sample_things(self._worn, self._body, transforms, joints, present, self._bare, rng)
-        if sees_the_person(self.view):
-            things += sample_person(self._body, transforms, present, self.skin.albedo, self.clothes.sleeve_albedo, rng)
-        return things
+        rng = sequence_rng(self.set.scene_seed, self.index, "things")
+        return sample_belongings(
+            self._worn, self._body, transforms, joints, present, self.view, self.skin, self.clothes, rng
+        )
 
     def clip(self, source: ClipSource) -> Clip:
         """The background in motion.
@@ -251,7 +246,7 @@ class Sequence:
         Raises:
             InputError: the source cannot be read.
         """
-        rng = _rng(self.set.scene_seed, _CLIP_STREAM, self.index)
+        rng = sequence_rng(self.set.scene_seed, self.index, "clip")
         return open_clip(source, rng, self.set.frames, self.set.fps, self.camera)
 
 
@@ -290,12 +285,8 @@ class SequenceRenderer:
         rendered = self.renderer.render(scene)
         if config.amodal:
             rendered = replace(rendered, amodal=self.renderer.amodal(scene))
-        noise = _rng(self.set.scene_seed, _NOISE_STREAM + frame, sequence)
+        noise = sequence_rng(self.set.scene_seed, sequence, "noise", frame)
         return rendered, expose(compose_frame(rendered, clip.frame(frame)), planned.sensor, noise)
-
-
-def _rng(seed: int, stream: int, index: int) -> np.random.Generator:
-    return np.random.default_rng(np.random.SeedSequence(entropy=seed, spawn_key=(stream, index)))
 
 
 def _make(renderer: SequenceRenderer, index: int) -> Made:

@@ -17,11 +17,9 @@ from twohands.synth.render.lighting import lit_by, lit_inside
 from twohands.synth.render.sensor import expose, sample_sensor
 from twohands.synth.scene.config import SynthConfig
 from twohands.synth.scene.fabrics import FabricFolder
-from twohands.synth.scene.sampling import instance_rng, sample_scene
+from twohands.synth.sets.instances import sample_scene
+from twohands.synth.sets.seeds import instance_rng
 from twohands.types import HandSample, PinholeCamera, RenderedFrame
-
-_BACKGROUND_STREAM, _LIGHT_STREAM, _SENSOR_STREAM = 1 << 40, 1 << 42, 1 << 43
-"""Offsets of the seeds that draw backgrounds, light and camera, so that they are independent of the scenes' own."""
 
 
 class SyntheticStream:
@@ -75,7 +73,7 @@ class SyntheticStream:
         if not 0 <= index < self.size:
             raise IndexError(f"instance {index} of {self.size}")
         scene = sample_scene(self.config, self.seed, index, self.fabrics)
-        if instance_rng(self.seed, _LIGHT_STREAM + index).random() < self.config.background_light:
+        if instance_rng(self.seed, index, "light").random() < self.config.background_light:
             behind = self.background(index, scene.camera)
             if behind.surroundings is None:
                 lighting = lit_by(scene.lighting, behind.picture, scene.camera)
@@ -94,13 +92,13 @@ class SyntheticStream:
         """Keeps the last one: it gives light, then stands behind the hands."""
 
         def sample(index: int, camera: PinholeCamera) -> Background:
-            return self.backgrounds.sample(instance_rng(self.seed, _BACKGROUND_STREAM + index), camera)
+            return self.backgrounds.sample(instance_rng(self.seed, index, "background"), camera)
 
         return lru_cache(maxsize=1)(sample)
 
     def picture(self, index: int, frame: RenderedFrame) -> np.ndarray:
         """(H, W, 3) uint8, the frame of instance `index` on its background, as its camera takes it."""
-        rng = instance_rng(self.seed, _SENSOR_STREAM + index)
+        rng = instance_rng(self.seed, index, "sensor")
         sensor = sample_sensor(self.config.sensor, rng)
         return expose(compose_frame(frame, self.background(index, frame.camera).picture), sensor, rng)
 

@@ -5,17 +5,17 @@ import dataclasses
 import cv2
 import numpy as np
 import pytest
-from tests.datasets.drawn import mirrored, sample
+from tests.training.drawn import mirrored, sample
 
-from twohands.datasets import pose_targets
-from twohands.datasets.hand_views import hand_box
-from twohands.datasets.pose_targets import CropConfig, PoseTarget, Segmentation, crop_matrix, pose_target
-from twohands.datasets.transforms import MaskConfig, PhotometricConfig
 from twohands.errors import InputError
 from twohands.geometry.boxes import apply_homography
 from twohands.geometry.part_labels import hand_classes
 from twohands.geometry.rotation import rotation_about_z
 from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
+from twohands.training import pose_targets
+from twohands.training.hand_views import hand_box
+from twohands.training.pose_targets import CropConfig, PoseTarget, Segmentation, crop_matrix, pose_target
+from twohands.training.transforms import MaskConfig, PhotometricConfig
 
 PAPER_CROP = CropConfig()
 OUR_CROP = CropConfig("perspective")

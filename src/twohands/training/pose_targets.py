@@ -7,8 +7,6 @@ from typing import Literal
 
 import numpy as np
 
-from twohands.datasets.hand_views import hand_box, random_roll
-from twohands.datasets.transforms import MaskConfig, PhotometricConfig, jitter_colours, spoil_masks
 from twohands.errors import InputError
 from twohands.geometry.boxes import (
     apply_homography,
@@ -25,6 +23,8 @@ from twohands.geometry.canonical import canonical_from_camera
 from twohands.geometry.composition import compose_hand_input
 from twohands.geometry.part_labels import hand_classes
 from twohands.skeleton import N_JOINTS, RIGHT, ROOT, WRIST
+from twohands.training.hand_views import hand_box, random_roll
+from twohands.training.transforms import MaskConfig, PhotometricConfig, jitter_colours, spoil_masks
 from twohands.types import HandSample, PinholeCamera
 
 MIRROR_X = np.diag([-1.0, 1.0, 1.0])

@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from twohands.datasets.transforms import MaskConfig, PhotometricConfig, jitter_colours, spoil_masks
 from twohands.errors import InputError
 from twohands.skeleton import LEFT, RIGHT
+from twohands.training.transforms import MaskConfig, PhotometricConfig, jitter_colours, spoil_masks
 
 IMAGE = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)
 GREY = np.full((48, 64, 3), 100, np.uint8)

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from twohands.datasets.hand_views import boxes_inside, hand_points, kept_inside, random_roll
-from twohands.datasets.transforms import PhotometricConfig, jitter_colours, nearest_cells
 from twohands.errors import DataFormatError, InputError
 from twohands.geometry.boxes import box_in_picture, inside_picture
 from twohands.geometry.part_labels import hand_classes
 from twohands.geometry.segmentation import LETTERBOX_GREY, letterbox
+from twohands.training.hand_views import boxes_inside, hand_points, kept_inside, random_roll
+from twohands.training.transforms import PhotometricConfig, jitter_colours, nearest_cells
 from twohands.types import HandSample
 
 OUTSIDE = 3

@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 
 from twohands import ego3dhands_format as fmt
-from twohands.datasets.distributions import Distributions, Measurements
 from twohands.datasets.ego3dhands import Ego3DHands, Ego3DHandsInstance, decode_png
+from twohands.datasets.inspection.distributions import Distributions, Measurements
 from twohands.datasets.manifest import expected_hand_length_m, read_index
 from twohands.datasets.shards import ShardedEgo3DHands
 from twohands.errors import DataFormatError

@@ -5,7 +5,8 @@ import pytest
 from tests.builders import make_hand, random_rotations
 from tests.datasets import fakes
 
-from twohands.datasets.distributions import (
+from twohands.datasets.ego3dhands import Ego3DHands
+from twohands.datasets.inspection.distributions import (
     Measurements,
     box_overlap,
     finger_flexion_deg,
@@ -14,7 +15,6 @@ from twohands.datasets.distributions import (
     palm_normal,
     skin_tone_deg,
 )
-from twohands.datasets.ego3dhands import Ego3DHands
 from twohands.skeleton import LEFT, RIGHT, part_label
 
 

@@ -4,16 +4,16 @@ import dataclasses
 
 import numpy as np
 import pytest
-from tests.datasets.drawn import mirrored, sample
+from tests.training.drawn import mirrored, sample
 
-from twohands.datasets.hand_views import hand_box
-from twohands.datasets.segmentation_targets import NARROWEST, ZoomConfig, segmentation_target
-from twohands.datasets.transforms import PhotometricConfig
 from twohands.errors import DataFormatError, InputError
 from twohands.geometry.boxes import box_iou
 from twohands.geometry.part_labels import hand_classes
 from twohands.geometry.segmentation import LETTERBOX_GREY, letterbox
 from twohands.skeleton import LEFT, RIGHT
+from twohands.training.hand_views import hand_box
+from twohands.training.segmentation_targets import NARROWEST, ZoomConfig, segmentation_target
+from twohands.training.transforms import PhotometricConfig
 
 
 def test_segmentation_target_scales_labels_and_boxes():

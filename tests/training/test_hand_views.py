@@ -4,11 +4,11 @@ import dataclasses
 
 import numpy as np
 import pytest
-from tests.datasets.drawn import sample
+from tests.training.drawn import sample
 
-from twohands.datasets.hand_views import MOST_CUT, boxes_inside, cut_at_border, hand_box
 from twohands.geometry.camera import project
 from twohands.skeleton import LEFT, RIGHT
+from twohands.training.hand_views import MOST_CUT, boxes_inside, cut_at_border, hand_box
 
 
 def test_hand_box_is_tight_and_clipped_to_the_picture():

@@ -1,0 +1,27 @@
+"""The scene of one instance of a set: a pure function of (config, seed, index)."""
+
+from __future__ import annotations
+
+from twohands.synth.scene.config import SynthConfig
+from twohands.synth.scene.fabrics import FabricFolder
+from twohands.synth.scene.sampling import draw_scene
+from twohands.synth.scene.spec import SceneSpec
+from twohands.synth.sets.seeds import instance_rng
+
+
+def sample_scene(config: SynthConfig, seed: int, index: int, fabrics: FabricFolder | None = None) -> SceneSpec:
+    """One random instance.
+
+    Args:
+        config: distributions.
+        seed: of the whole set.
+        index: of the instance; the same (config, seed, index) gives the same scene anywhere.
+        fabrics: for sleeves and gloves; plain and striped ones if None. Nothing else depends on them.
+
+    Returns:
+        The scene.
+
+    Raises:
+        InputError: the hand box cannot be reached or seen with this configuration.
+    """
+    return draw_scene(config, index, instance_rng(seed, index), fabrics, instance_rng(seed, index, "fabric"))

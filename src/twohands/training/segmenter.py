@@ -1,0 +1,77 @@
+"""HandSegNet as the pose stages meet it: masks and boxes of pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import torch
+
+from twohands.geometry.segmentation import boxes_from_energy, hand_scores, letterbox, masks_from_logits, network_input
+from twohands.models.blocks import fold_batch_norm
+from twohands.models.checkpoint import load_network
+from twohands.models.hand_seg_net import HandSegNetConfig
+from twohands.training.pose_targets import Segmentation
+
+Segment = Callable[[Sequence[np.ndarray]], list[Segmentation]]
+"""Masks and boxes of pictures, each (H, W, 3) uint8."""
+OpenSegmentation = Callable[[Path], Segment]
+"""What finds masks and boxes, from a file of HandSegNet."""
+FAINT_THRESHOLD = 0.05
+"""HandSegNet's score from which on the pose networks learn from its boxes and masks. In use, only higher scores come
+before them; but mistakes with such scores are too rare for the judge to learn from, and shown faint mistakes alone, it
+takes every faint hand for one."""
+
+
+class Segmenter:
+    """A trained HandSegNet, as the pose stages will meet it but for its second look in doubt: the network and how its
+    maps are read.
+
+    Args:
+        checkpoint: written by the trainer, or the ONNX file of a preset.
+        device: where it runs.
+
+    Raises:
+        CheckpointError: missing, damaged, or of another network.
+    """
+
+    def __init__(self, checkpoint: Path, device: str = "cpu") -> None:
+        net = load_network("hand_seg_net", checkpoint).eval()
+        config = cast(HandSegNetConfig, net.config)
+        self.size = (config.height, config.width_px)
+        fold_batch_norm(net)
+        self.net = net.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.device = device
+
+    @torch.inference_mode()
+    def __call__(self, images: Sequence[np.ndarray]) -> list[Segmentation]:
+        """Masks and boxes, see `Segment`."""
+        canvases, places = zip(*(letterbox(image, self.size) for image in images), strict=True)
+        inputs = torch.from_numpy(network_input(np.stack(canvases))).contiguous(memory_format=torch.channels_last)
+        with torch.autocast(self.device, torch.bfloat16):
+            logits, energies = self.net(inputs.to(self.device))
+        # Back to one plane after the other: reductions over planes of interleaved channels are slow.
+        logits, energies = (
+            np.ascontiguousarray(m.float().cpu().numpy()) for m in (logits, torch.sigmoid(energies.float()))
+        )
+        found = []
+        for i, image in enumerate(images):
+            seg_logits, energy = places[i].content(logits[i]), places[i].content(energies[i])
+            scores = hand_scores(energy, seg_logits)
+            found.append(segmentation_of(seg_logits, energy, scores, image.shape[:2]))
+        return found
+
+
+def segmentation_of(
+    seg_logits: np.ndarray, energies: np.ndarray, scores: np.ndarray, image_size: tuple[int, int]
+) -> Segmentation:
+    """What HandSegNet's maps say, hands that are seen but faintly (`FAINT_THRESHOLD`) included.
+
+    Args:
+        seg_logits, energies, scores: (3, h, w), (2, h, w) and (2,) as `inference.estimator` has them.
+        image_size: (H, W) of the picture.
+    """
+    boxes = boxes_from_energy(energies, image_size, scores, threshold=FAINT_THRESHOLD)
+    return Segmentation(masks_from_logits(seg_logits, image_size, boxes.present), boxes.boxes_px)
