@@ -20,7 +20,7 @@ from pathlib import Path
 
 import pytest
 from tests.synth.production.fake_production import FakeSet, make
-from tests.synth.production.test_production import contents
+from tests.synth.production.test_produce import contents
 
 from twohands.cli.main import main
 from twohands.errors import InputError, MissingExtraError, RendererError, TwoHandsError

@@ -50,7 +50,7 @@ class SynthConfig:
     """Share of hands with some fingers stretched and the others curled, as in pointing, counting and thumbs up."""
     shown: float = 0.0
     """Share of hands that must be held up to the camera, palm or back towards it, as in signs and greetings
-    (`scene.held_up`); some of the others are so by chance."""
+    (`sampling.held_up`); some of the others are so by chance."""
     lights: int = 4
     """Point lights with slightly random colour, brightness and position."""
     fov: tuple[float, float] | None = None

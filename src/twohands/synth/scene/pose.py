@@ -68,7 +68,7 @@ ANGLE_LIMITS = np.radians(
     ]
 )
 """(24, 2) smallest and largest value of every angle in the order of `HandAngles.as_vector`, radians: the span of
-`scene.sample_angles`, its Gaussian parts cut at about three standard deviations."""
+`sampling.sample_angles`, its Gaussian parts cut at about three standard deviations."""
 
 
 ROOT_BEYOND_WRIST = 0.09

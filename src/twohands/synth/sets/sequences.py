@@ -52,7 +52,7 @@ BYTES_PER_PIXEL = 1.4
 
 @dataclass(frozen=True)
 class SequenceSet:
-    """What defines a dynamic set, down to the last byte; a `production.Production`.
+    """What defines a dynamic set, down to the last byte; a `produce.Production`.
 
     Attributes:
         config: distributions of person, light and hand box; `drop_rate` does not apply, hands leave and return.
@@ -116,7 +116,7 @@ class SequenceSet:
         return f"{instance_name(sequence)}/{instance_name(frame)}"
 
     def identity(self) -> dict[str, Any]:
-        """See `production.Production`; the number of sequences may grow."""
+        """See `produce.Production`; the number of sequences may grow."""
         return {
             "kind": "dynamic",
             "split": self.split,
@@ -131,15 +131,15 @@ class SequenceSet:
         }
 
     def made_with(self) -> dict[str, str]:
-        """See `production.Production`."""
+        """See `produce.Production`."""
         return environment(renderer_version(self.renderer))
 
     def expected_bytes(self) -> int:
-        """See `production.Production`."""
+        """See `produce.Production`."""
         return round(BYTES_PER_PIXEL * self.config.width * self.config.height)
 
     def open(self) -> Callable[[int], Made]:
-        """See `production.Production`."""
+        """See `produce.Production`."""
         return partial(_make, SequenceRenderer(self))
 
 

@@ -30,7 +30,7 @@ WORKER_BACKGROUNDS = 64
 
 @dataclass(frozen=True)
 class StaticSet:
-    """What defines a set, down to the last byte; a `production.Production`.
+    """What defines a set, down to the last byte; a `produce.Production`.
 
     Attributes:
         config: distributions of the scenes.
