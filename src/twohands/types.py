@@ -120,6 +120,7 @@ class HandSample:
         depth_m: (H, W) float32 planar depth, 0 on the background, or None.
         source: identifies the sample in messages and reports.
         visible: (2, 21) bool, which labelled joints can be seen, or None where the data set does not say.
+        confidence: (2, 21) float, 0..1, how much the labels of the joints count in training; None if all count fully.
     """
 
     image: np.ndarray
@@ -132,6 +133,7 @@ class HandSample:
     depth_m: np.ndarray | None = None
     source: str = ""
     visible: np.ndarray | None = None
+    confidence: np.ndarray | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from twohands.geometry.anatomy import HAND_LENGTH, KNUCKLES, anatomical_joints
+from twohands.geometry.anatomy import HAND_LENGTH, KNUCKLES, anatomical_joints, skeleton_joints
 from twohands.geometry.rotation import rotation_from_angles
 from twohands.skeleton import ROOT, WRIST
 from twohands.synth.scene.body import load_asset
@@ -48,3 +48,9 @@ def test_it_does_not_matter_where_and_in_which_unit_the_hand_is():
     np.testing.assert_allclose(
         anatomical_joints(100 * joints @ rotation.T + offset), 100 * anatomical_joints(joints) @ rotation.T + offset
     )
+
+
+def test_the_skeleton_comes_back_from_the_anatomical_joints():
+    joints = rest_hand()
+    np.testing.assert_allclose(skeleton_joints(anatomical_joints(joints)), joints, atol=1e-12)
+    np.testing.assert_allclose(skeleton_joints(anatomical_joints(joints[None, :, :2])), joints[None, :, :2], atol=1e-12)

@@ -46,3 +46,16 @@ def anatomical_joints(joints: np.ndarray) -> np.ndarray:
     set of pictures was fitted.
     """
     return _weights() @ joints
+
+
+def skeleton_joints(joints: np.ndarray) -> np.ndarray:
+    """The reverse of `anatomical_joints`: joints of data sets of real hands as our skeleton has them.
+
+    Args:
+        joints: (..., 21, 3), any unit and frame, of one hand each; or (..., 21, 2) in a picture, which is
+            right as far as a palm has one depth.
+
+    Returns:
+        Array of the same shape, unit and frame: wrist and knuckles moved, all others as they are.
+    """
+    return np.linalg.solve(_weights(), joints)
