@@ -59,4 +59,4 @@ def cv_dilated(mask: np.ndarray, radius: int) -> np.ndarray:
     """The mask grown by so many pixels in every direction."""
     padded = np.pad(mask, radius)
     size = 2 * radius + 1
-    return np.lib.stride_tricks.sliding_window_view(padded, (size, size)).any(axis=(2, 3))
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, (size, size)).any(axis=(2, 3)))
