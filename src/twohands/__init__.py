@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from twohands.errors import TwoHandsError
-    from twohands.inference.camera_files import read_camera
+    from twohands.formats.camera_files import read_camera
     from twohands.inference.estimator import HandEstimator, StageTruth
     from twohands.inference.sources import read_image
     from twohands.inference.tracker import HandTracker
@@ -37,7 +37,7 @@ _HOME = {
     "TwoHandsError": "twohands.errors",
     "draw_overlay": "twohands.visualization.overlay",
     "draw_views": "twohands.visualization.views",
-    "read_camera": "twohands.inference.camera_files",
+    "read_camera": "twohands.formats.camera_files",
     "read_image": "twohands.inference.sources",
 }
 

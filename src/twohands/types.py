@@ -17,6 +17,14 @@ Array = Any
 """A numpy array or a torch tensor; functions of `twohands.geometry` return the kind they were given."""
 
 
+MAX_SIDE_PX = 1 << 16
+"""Of a picture: no camera has more, and no decoder takes more."""
+MIN_FOCAL_PX, MAX_FOCAL_PX = 1e-3, 1e8
+MAX_COEFFICIENT = 1e6
+"""Of lens distortion. Within these bounds nothing overflows; what can be believed is a narrower matter
+(`twohands.plausibility`)."""
+
+
 @dataclass(frozen=True, slots=True)
 class PinholeCamera:
     """Intrinsics of one camera at one image size.
@@ -29,7 +37,7 @@ class PinholeCamera:
             taken as well, and kept as a tuple.
 
     Raises:
-        InputError: a value is not finite or not positive where it must be.
+        InputError: a value is not finite, not positive where it must be, or beyond the bounds above.
     """
 
     fx: float
@@ -47,9 +55,17 @@ class PinholeCamera:
                 raise InputError(f"camera: {name} must be a finite number, got {value}")
             if name in ("fx", "fy", "width", "height") and value <= 0:
                 raise InputError(f"camera: {name} must be positive, got {value}")
+            if name in ("width", "height") and value > MAX_SIDE_PX:
+                raise InputError(f"camera: {name} must be at most {MAX_SIDE_PX} pixels, got {value:g}")
+            if abs(value) > MAX_FOCAL_PX:
+                raise InputError(f"camera: {name} must be at most {MAX_FOCAL_PX:g} pixels, got {value:g}")
+            if name in ("fx", "fy") and value < MIN_FOCAL_PX:
+                raise InputError(f"camera: {name} must be at least {MIN_FOCAL_PX:g} pixels, got {value:g}")
         object.__setattr__(self, "distortion", tuple(np.ravel(np.asarray(self.distortion, np.float64)).tolist()))
         if len(self.distortion) not in (0, 4, 5, 8) or not all(map(math.isfinite, self.distortion)):
             raise InputError(f"camera: distortion needs 0, 4, 5 or 8 finite numbers, got {self.distortion}")
+        if any(abs(value) > MAX_COEFFICIENT for value in self.distortion):
+            raise InputError(f"camera: distortion must be at most {MAX_COEFFICIENT:g}, got {self.distortion}")
 
     @classmethod
     def from_fov(cls, hfov_deg: float, width: int, height: int) -> PinholeCamera:

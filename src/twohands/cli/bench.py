@@ -19,7 +19,7 @@ import tyro
 
 from twohands.cli.demo import examples_folder
 from twohands.errors import InputError
-from twohands.inference.camera_files import camera_for_image, read_camera
+from twohands.formats.camera_files import camera_for_image, read_camera
 from twohands.inference.estimator import HandEstimator
 from twohands.inference.sources import list_images, read_image
 from twohands.inference.stage_times import STAGES, StageClock, time_stages

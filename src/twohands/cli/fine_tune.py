@@ -9,7 +9,7 @@ from pathlib import Path
 
 from twohands.cli.progress import progress_of
 from twohands.errors import InputError
-from twohands.inference.camera_files import read_camera
+from twohands.formats.camera_files import read_camera
 from twohands.inference.weights import DEFAULT_PRESET, NETWORK_NAMES, preset_folder, preset_names, read_card
 from twohands.training.config import TrainConfig
 

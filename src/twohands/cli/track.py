@@ -21,7 +21,7 @@ import tyro
 
 from twohands.cli.output import check_output_folder, write_file
 from twohands.errors import InputError, MissingExtraError, TwoHandsError
-from twohands.inference.camera_files import camera_for_image, read_camera
+from twohands.formats.camera_files import camera_for_image, read_camera
 from twohands.inference.estimator import DEFAULT_HAND_LENGTH_M, HandEstimator
 from twohands.inference.records import to_dict
 from twohands.inference.sources import list_images, read_image

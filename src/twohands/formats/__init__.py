@@ -1,0 +1,1 @@
+"""Files that users bring, read strictly; what is accepted is listed in docs/inputs.md."""

@@ -1,0 +1,461 @@
+"""Cameras from files, ours and those of the usual calibration tools; what is read is listed in docs/inputs.md.
+
+Every key of a file is either used, or known to say nothing about the lens (`_NO_MATTER`), or refused: a coefficient
+under a name that a reader does not know would be lost, and every range with it be wrong. Another lens model than
+OpenCV's pinhole with k1, k2, p1, p2, ... is refused by its name for the same reason.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from twohands.errors import DataFormatError, InputError
+from twohands.formats.structured import decode_text, parse_json, parse_xml, parse_yaml, read_bytes
+from twohands.types import PinholeCamera
+
+MAX_CAMERA_BYTES: Final = 4 << 20
+"""Of a camera file; OpenCV's may hold all points of its calibration."""
+MOST_COEFFICIENTS: Final = 8
+"""Distortion coefficients that `PinholeCamera` knows: OpenCV's k1, k2, p1, p2, k3 to k6."""
+MOST_SKEW: Final = 1e-6
+"""Of a camera matrix, over its focal length: rounding of whoever wrote it."""
+
+_COEFFICIENTS: Final = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+_OURS: Final = ("fx", "fy", "cx", "cy", "width", "height")
+
+_FIELD_OF_KEY: Final[Mapping[str, str]] = {
+    alias: name
+    for name, aliases in {
+        "fx": "fx flx focallengthx focalx",
+        "fy": "fy fly focallengthy focaly",
+        "focal": "f focal focallength",
+        "cx": "cx",
+        "cy": "cy",
+        "cx_opencv": "ppx",
+        "cy_opencv": "ppy",
+        "width": "width w imagewidth imgwidth",
+        "height": "height h imageheight imgheight",
+        "size": "imagesize imgsize size resolution cameraresolution imageresolution imageshapewh",
+        "matrix": "cameramatrix camera_matrix k kmatrix mtx intrinsicmatrix intrinsicsmatrix cameraintrinsics "
+        "cameraintrinsic intrinsic",
+        "intrinsics": "intrinsics",
+        "params": "params",
+        "distortion": "distortion dist d distcoeffs distcoeff distcoefs distcoef distortioncoefficients "
+        "distortioncoeffs distortioncoeff distortionvector distortionparameters lensdistortion cameradistortion coeffs "
+        "coefficients distorsion distorsioncoefficients",
+        **{name: name for name in (*_COEFFICIENTS, "s1", "s2", "s3", "s4")},
+        "model": "distortionmodel cameramodel model lensmodel lenstype projection projectiontype projectionmodel "
+        "cameratype type distortiontype modeltype modelname",
+        "fisheye": "fisheye isfisheye fisheyemodel",
+        "skew": "skew s",
+        "binning": "binningx binningy",
+        "roi": "roi",
+    }.items()
+    for alias in aliases.split()
+}
+"""What a key means, by its letters and digits in small letters."""
+
+_SLAM_FIELDS: Final[Mapping[str, str]] = {
+    **{name: name for name in ("fx", "fy", "width", "height", *_COEFFICIENTS)},
+    **{name: f"{name}_opencv" for name in ("cx", "cy")},
+}
+"""What ORB-SLAM's keys mean, Camera.fx or Camera1.fx: it counts pixels as OpenCV does."""
+
+_CONTAINERS: Final = frozenset(
+    {"intrinsics", "intrinsic", "camera", "cam", "cam0", "camera0", "cameraparameters", "cameraparams", "calibration"}
+    | {"camerainfo", "cameracalibration", "imagesize", "resolution", "distortion", "distcoeffs", "value0", "size"}
+    | {"distortioncoefficients", "distortionparameters", "projectionparameters", "cameraintrinsics"}
+)
+"""Keys under which a file may hold the record, or a part of it, one level deeper."""
+
+_NO_MATTER: Final = re.compile(
+    "|".join(
+        (
+            "comments?|notes?|description|name|title|id|uuid|serial.*|vendor|manufacturer|make|timestamp|date|time",
+            "camera|cameraname|cameraid|cameraserial.*|camname|sensorname|device.*|firmware.*|lensname",
+            "calibration(?:date|time|flags|tool|method|version)?|version|fileversion|typeid|created.*|source|author",
+            "flags?.*|n?frames(?:count)?|nr?of(?:frames|images)|numberof.*|num.*|fps|camerafps|camerargb|rgb",
+            ".*(?:reprojection|calibration|projection|rms|mean)error.*|rms|error|reproj.*|totalavgerr|avgerr.*|std.*",
+            "board.*|square.*|marker.*|pattern.*|grid.*|chessboard.*|charuco.*|aruco.*|fix.*|assume.*|calibrate.*",
+            "writeextrinsic.*|writepoints.*|showundistorted|inputs?(?:delay|path)?|images?(?:points|names|path)",
+            "objectpoints|imagenames|filenames?|file|path|aspectratio|extrinsics?.*|perview.*|rvecs?|tvecs?|t|pose.*",
+            "rotation.*|translation.*|rectification.*|r|p|q|projectionmatrix|header|frameid|seq|stamp|opencv.*",
+            "t(?:cam|cn|ci|ic|bs|b).*|rostopic|timeshift.*|camoverlaps|bf|camerabf|thdepth.*|depthmapfactor|baseline",
+            "(?:orbextractor|viewer|system|stereo|imu|rgbd|loopclosing|tracking)[a-z].*|aabbscale|appliedtransform",
+            "appliedscale|plyfilepath|orientationoverride|cameraanglex|cameraangley|xfov|yfov|hfov|vfov|fov",
+            "transform.*|stride|format",
+        )
+    )
+)
+"""Keys, as in `_FIELD_OF_KEY`, that say nothing about how a ray meets the picture, or say it again."""
+
+_PINHOLE: Final = frozenset(
+    {"pinhole", "perspective", "plumbbob", "radtan", "radialtangential", "rationalpolynomial", "opencv", "fullopencv"}
+    | {"simplepinhole", "simpleradial", "radial", "brownconrady", "brown", "none", "nodistortion", "undistorted"}
+    | {"rectified", "standard", "pinholeradtan", "pinholecamera", "distortionnone", "distortionbrownconrady", "0"}
+)
+"""Names of lens models, written like the keys, that OpenCV's pinhole camera covers."""
+_FOCAL_ONLY_WHEN_STRAIGHT: Final = frozenset(
+    {"modifiedbrownconrady", "inversebrownconrady", "distortioninversebrownconrady", "distortionmodifiedbrownconrady"}
+)
+"""RealSense's models that differ from OpenCV's in the coefficients alone: read where those are all 0."""
+_COLMAP: Final[Mapping[str, tuple[str, ...]]] = {
+    "SIMPLE_PINHOLE": ("focal", "cx", "cy"),
+    "PINHOLE": ("fx", "fy", "cx", "cy"),
+    "SIMPLE_RADIAL": ("focal", "cx", "cy", "k1"),
+    "RADIAL": ("focal", "cx", "cy", "k1", "k2"),
+    "OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"),
+    "FULL_OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+}
+"""Parameters of COLMAP's camera models, in its order."""
+_COLMAP_LINE: Final = re.compile(r"\d+\s+([A-Z][A-Z_]+)\s+(\d+)\s+(\d+)\s+(.+)")
+
+
+@dataclass(slots=True)
+class _Found:
+    """What has been read of a file so far.
+
+    Attributes:
+        values: by the name of its field, the value and the key that said so.
+        models: names of lens models, as they stand in the file.
+    """
+
+    values: dict[str, tuple[Any, str]] = field(default_factory=dict)
+    models: list[str] = field(default_factory=list)
+
+    def add(self, name: str, value: Any, key: str) -> None:
+        """Takes one value in.
+
+        Raises:
+            DataFormatError: another key has said something else about the same field.
+        """
+        if name in self.values and self.values[name][0] != value:
+            raise DataFormatError(f"camera: {self.values[name][1]} and {key} both say what {name} is, differently")
+        self.values[name] = (value, key)
+
+    def get(self, name: str) -> Any:
+        return self.values[name][0] if name in self.values else None
+
+
+def read_camera(path: str | Path) -> PinholeCamera:
+    """Read a camera file: ours, or one of OpenCV, ROS, Kalibr, COLMAP and others; see docs/inputs.md.
+
+    Args:
+        path: JSON, YAML, XML of OpenCV, or COLMAP's cameras.txt, as its content says; may be gzipped. Ours is JSON with
+            fx, fy, cx, cy, width, height and optionally distortion (OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6]]). Under
+            these names cx and cy count from the outer corner of the first pixel; in a camera matrix and in files of
+            Kalibr, ROS, RealSense and ORB-SLAM from its centre: 0.5 is added to those.
+
+    Raises:
+        InputError: the file is missing, or a value is not finite or not positive.
+        DataFormatError: the file holds something else, a lens of another model, or a key that is not known.
+    """
+    path = Path(path)
+    data = read_bytes(path, "camera file", MAX_CAMERA_BYTES)
+    try:
+        return _camera(_record(data))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    except DataFormatError as error:
+        raise DataFormatError(f"{path}: {error}") from error
+
+
+def camera_for_image(camera: PinholeCamera, width: int, height: int) -> PinholeCamera:
+    """The camera at the size of a picture it took, which may have been resized since.
+
+    Raises:
+        InputError: the aspect ratios differ by more than rounding to whole pixels explains; the picture was cropped
+            or comes from another camera.
+    """
+    if (camera.width, camera.height) == (width, height):
+        return camera
+    one_pixel = max(width, height, camera.width, camera.height)
+    if abs(width * camera.height - height * camera.width) > one_pixel:
+        raise InputError(
+            f"camera is for {camera.width}x{camera.height}, the image is {width}x{height}: another aspect ratio; "
+            "give the camera of this image size"
+        )
+    return camera.resized(width, height)
+
+
+def _record(data: bytes) -> dict[str, Any]:
+    """The keys and values of a camera file, whatever its format."""
+    if data.startswith((b"PK\x03\x04", b"\x93NUMPY", b"MATLAB", b"\x80")):
+        raise DataFormatError("a numpy, MATLAB or pickle file; write the camera as JSON or YAML (docs/inputs.md)")
+    text = decode_text(data)
+    start = text.lstrip()
+    if start.startswith(("{", "[")):
+        content = parse_json(text)
+    elif start.startswith("<"):
+        content = parse_xml(text)
+    else:
+        content = _colmap_file(text) or parse_yaml(text)
+    if isinstance(content, list) and len(content) == 1:
+        content = content[0]
+    if not isinstance(content, dict):
+        raise DataFormatError(f"camera: an object with keys expected, found {_kind(content)}")
+    return content
+
+
+def _colmap_file(text: str) -> dict[str, Any] | None:
+    """The camera of COLMAP's cameras.txt; None for a text of another kind."""
+    lines = [line.strip() for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    match = _COLMAP_LINE.fullmatch(lines[0]) if lines else None
+    if match is None:
+        return None
+    if len(lines) > 1:
+        raise DataFormatError(f"camera: {len(lines)} cameras; a file of one is needed")
+    try:
+        params = [float(word) for word in match[4].split()]
+        return {"model": match[1], "width": int(match[2][:20]), "height": int(match[3][:20]), "params": params}
+    except ValueError as error:
+        raise DataFormatError(f"camera: numbers expected: {error}") from None
+
+
+def _camera(record: Mapping[str, Any]) -> PinholeCamera:
+    """The camera that a record tells of."""
+    found = _Found()
+    _gather(record, found, depth=0)
+    for model in found.models:
+        _check_model(model, found)
+    _expand(found)
+    missing = [name for name in _OURS if name not in found.values]
+    if missing:
+        raise DataFormatError(f"camera: {', '.join(missing)} missing; needed: {', '.join(_OURS)}")
+    values: dict[str, Any] = {name: _number(*found.values[name]) for name in _OURS}
+    for name in ("width", "height"):
+        if not values[name].is_integer():
+            raise DataFormatError(f"camera: {name} must be a whole number, got {found.get(name)!r}")
+        values[name] = int(values[name])
+    return PinholeCamera(**values, distortion=_distortion(found))
+
+
+def _gather(record: Mapping[str, Any], found: _Found, depth: int) -> None:
+    """Sorts the keys of a record and of the records in it into the fields.
+
+    Raises:
+        DataFormatError: a key is not known, or said twice.
+    """
+    several = [key for key, value in record.items() if re.fullmatch(r"cam(era)?_?\d", key) and isinstance(value, dict)]
+    if len(several) > 1:
+        raise DataFormatError(f"camera: {len(several)} cameras ({', '.join(several)}); a file of one is needed")
+    for key, value in record.items():
+        plain = _plain(key)
+        if isinstance(value, dict) and not _is_matrix(value) and _holds_a_record(plain) and depth < 4:
+            _gather(value, found, depth + 1)
+            continue
+        name = _FIELD_OF_KEY.get(plain)
+        if (slam := re.fullmatch(f"camera1?({'|'.join(_SLAM_FIELDS)})", plain)) is not None:
+            name = _SLAM_FIELDS[slam[1]]
+        if name == "model":
+            found.models.append(str(value))
+        elif name in (*_COEFFICIENTS, "matrix") and plain in _COEFFICIENTS and _is_matrix(value):
+            raise DataFormatError(f"camera: '{key}' is one matrix of several; a file of one camera is needed")
+        elif name is not None:
+            found.add(name, value, key)
+        elif not _NO_MATTER.fullmatch(plain):
+            raise DataFormatError(
+                f"camera: unknown key '{key[:60]}'; if it says something about the lens, rename it (docs/inputs.md), "
+                "else take it out"
+            )
+
+
+def _holds_a_record(plain: str) -> bool:
+    return plain in _CONTAINERS or re.fullmatch(r"cam(era)?\d", plain) is not None
+
+
+def _check_model(model: str, found: _Found) -> None:
+    """Raises DataFormatError for a lens model that is not OpenCV's pinhole."""
+    plain = _plain(model).removeprefix("rs2")
+    if plain in _PINHOLE or plain == "false":
+        return
+    if plain in _FOCAL_ONLY_WHEN_STRAIGHT and not any(_distortion(found)):
+        return
+    raise DataFormatError(
+        f"camera: lens model '{model[:60]}'; only pinhole cameras with OpenCV's k1, k2, p1, p2, k3 to k6 are known, "
+        "so undistort the pictures first and give the camera of those"
+    )
+
+
+def _expand(found: _Found) -> None:
+    """Turns matrices, lists and names of other tools into fx, fy, cx, cy, width and height.
+
+    Raises:
+        DataFormatError: a value has another form.
+    """
+    if (params := found.get("params")) is not None:
+        _expand_params(params, found)
+    if (intrinsics := found.get("intrinsics")) is not None:
+        values, shape = _numbers(intrinsics, "intrinsics")
+        if shape in ((3, 3), (9,)):
+            found.add("matrix", intrinsics, found.values["intrinsics"][1])
+        elif shape == (4,):
+            for name, value in zip(("fx", "fy", "cx_opencv", "cy_opencv"), values, strict=True):
+                found.add(name, value, "intrinsics")
+        else:
+            raise DataFormatError(
+                f"camera: intrinsics: fx, fy, cx, cy or a 3x3 matrix expected, got {len(values)} values"
+            )
+    if (matrix := found.get("matrix")) is not None:
+        for name, value in _from_matrix(matrix, found.values["matrix"][1]).items():
+            found.add(name, value, found.values["matrix"][1])
+    if (focal := found.get("focal")) is not None:
+        values, _ = _numbers(focal, "focal length")
+        if len(values) not in (1, 2):
+            raise DataFormatError(f"camera: focal length: one or two numbers expected, got {len(values)}")
+        found.add("fx", values[0], found.values["focal"][1])
+        found.add("fy", values[-1], found.values["focal"][1])
+    for name in ("cx", "cy"):
+        if (centre := found.get(f"{name}_opencv")) is not None:
+            key = found.values[f"{name}_opencv"][1]
+            found.add(name, _number(centre, key) + 0.5, key)
+    if (size := found.get("size")) is not None:
+        values, _ = _numbers(size, "image size")
+        if len(values) != 2:
+            raise DataFormatError(f"camera: image size: width and height expected, got {len(values)} numbers")
+        found.add("width", values[0], found.values["size"][1])
+        found.add("height", values[1], found.values["size"][1])
+    _check_unused(found)
+
+
+def _expand_params(params: Any, found: _Found) -> None:
+    """Parameters in the order of COLMAP's camera model."""
+    values, _ = _numbers(params, "params")
+    names = _COLMAP.get(found.models[0].upper() if found.models else "")
+    if names is None or len(names) != len(values):
+        raise DataFormatError(f"camera: params: those of a COLMAP model expected ({', '.join(_COLMAP)})")
+    for name, value in zip(names, values, strict=True):
+        found.add(name, value, "params")
+
+
+def _check_unused(found: _Found) -> None:
+    """Raises DataFormatError for what a camera of ours cannot say: skew, thin prisms, binning, a region of interest."""
+    for name in ("skew", "s1", "s2", "s3", "s4"):
+        if (value := found.get(name)) is not None and _number(value, name) != 0:
+            raise DataFormatError(f"camera: {name} of {value}; only 0 can be used")
+    if (fisheye := found.get("fisheye")) is not None and fisheye not in (0, False):
+        raise DataFormatError(
+            "camera: a fisheye lens; only pinhole cameras with OpenCV's k1, k2, p1, p2, k3 to k6 are known, so "
+            "undistort the pictures first and give the camera of those"
+        )
+    if (binning := found.get("binning")) is not None and binning not in (0, 1):
+        raise DataFormatError(f"camera: binning of {binning}; give the camera of the pictures as they are")
+    roi = found.get("roi")
+    if roi is not None and not (isinstance(roi, dict) and not any(roi.values())):
+        raise DataFormatError("camera: a region of interest (roi); give the camera of the pictures as they are")
+
+
+def _from_matrix(value: Any, key: str) -> dict[str, float]:
+    """fx, fy, cx, cy of a camera matrix, which counts pixels from the centre of the first one.
+
+    Raises:
+        DataFormatError: it is no camera matrix, transposed, or has skew.
+    """
+    values, shape = _numbers(value, key)
+    if shape not in ((3, 3), (9,)):
+        raise DataFormatError(f"camera: {key}: a 3x3 matrix expected, got shape {shape}")
+    matrix = np.array(values, np.float64).reshape(3, 3)
+    below, beside = matrix[2, :2], matrix[:2, 2]
+    if below.any() and not beside.any():
+        raise DataFormatError(
+            f"camera: {key} is transposed, as MATLAB and Open3D write it: its last column, not its last row, must be "
+            "cx, cy, 1"
+        )
+    scale = matrix[2, 2]
+    if below.any() or scale == 0:
+        raise DataFormatError(
+            f"camera: {key}: the last row of a camera matrix must be 0, 0, 1, got {matrix[2].tolist()}"
+        )
+    matrix = matrix / scale
+    if not np.isfinite(matrix).all():
+        raise DataFormatError(f"camera: {key}: the numbers of its matrix are too large")
+    skew = max(abs(matrix[0, 1]), abs(matrix[1, 0]))
+    if skew > MOST_SKEW * max(abs(matrix[0, 0]), abs(matrix[1, 1])):
+        raise DataFormatError(
+            f"camera: {key} has a skew of {skew:g}; calibrate without skew, as OpenCV does: only 0 can be used"
+        )
+    fx, fy, cx, cy = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
+    return {"fx": float(fx), "fy": float(fy), "cx": float(cx) + 0.5, "cy": float(cy) + 0.5}
+
+
+def _distortion(found: _Found) -> tuple[float, ...]:
+    """OpenCV's coefficients; empty where all are 0.
+
+    Raises:
+        DataFormatError: they are no numbers, given in two ways, or one is there without those before it.
+    """
+    single = {name: _number(*found.values[name]) for name in _COEFFICIENTS if name in found.values}
+    value = found.get("distortion")
+    if value is not None and not isinstance(value, list | dict):
+        raise DataFormatError(f"camera: distortion: a list of numbers expected, got {_kind(value)}")
+    listed = [] if value is None else _numbers(value, found.values["distortion"][1])[0]
+    if any(single.values()) and any(listed):
+        raise DataFormatError(f"camera: distortion both as {found.values['distortion'][1]} and as {', '.join(single)}")
+    if single.get("k4") and not {"k5", "k6"} <= single.keys():
+        raise DataFormatError("camera: k4 without k5 and k6 is none of OpenCV's pinhole models, rather a fisheye's")
+    if any(single.values()):
+        listed = [single.get(name, 0.0) for name in _COEFFICIENTS]
+        listed = listed[:4] if not any(listed[4:]) else listed[:5] if not any(listed[5:]) else listed
+    while len(listed) > MOST_COEFFICIENTS and listed[-1] == 0:
+        listed = listed[:-1]  # OpenCV pads those of its larger models
+    return tuple(listed) if any(listed) else ()
+
+
+def _numbers(value: Any, key: str) -> tuple[list[float], tuple[int, ...]]:
+    """All numbers of a list, a nested list or a matrix of OpenCV's, in order, and their shape.
+
+    Raises:
+        DataFormatError: something else than numbers, or as many as the matrix does not say.
+    """
+    if value is None:
+        return [], (0,)
+    if isinstance(value, dict) and _is_matrix(value):
+        flat, _ = _numbers(value.get("data"), key)
+        rows, columns = (_number(value.get(name), f"{key}.{name}") for name in ("rows", "cols"))
+        if rows * columns != len(flat):
+            raise DataFormatError(f"camera: {key}: {rows:g}x{columns:g} numbers announced, found {len(flat)}")
+        return flat, (int(rows), int(columns))
+    if isinstance(value, list) and any(isinstance(row, list) for row in value):
+        rows = [_numbers(row, key)[0] if isinstance(row, list) else [_number(row, key)] for row in value]
+        lengths = {len(row) for row in rows}
+        shape = (len(rows), *lengths) if len(lengths) == 1 else (sum(map(len, rows)),)
+        return [number for row in rows for number in row], shape
+    if isinstance(value, list):
+        return [_number(item, key) for item in value], (len(value),)
+    return [_number(value, key)], (1,)
+
+
+def _is_matrix(value: Any) -> bool:
+    """Whether a value is a matrix as OpenCV and ROS write it."""
+    return isinstance(value, dict) and "data" in value and set(value) <= {"type_id", "rows", "cols", "dt", "data"}
+
+
+def _number(value: Any, key: str) -> float:
+    """A number, which may be no finite one.
+
+    Raises:
+        DataFormatError: it is none.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise DataFormatError(f"camera: {key}: numbers expected, got {_kind(value)}")
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf
+
+
+def _kind(value: Any) -> str:
+    """A value in a few words."""
+    return f"{str(value)[:40]!r}" if isinstance(value, str | bool) or value is None else type(value).__name__
+
+
+def _plain(key: str) -> str:
+    """A key's letters and digits, in small letters."""
+    return re.sub(r"[^a-z0-9]", "", key.lower())
