@@ -6,7 +6,8 @@ colour and coverage, one single-sampled for exact labels and depth.
 
 from __future__ import annotations
 
-from functools import lru_cache
+from collections.abc import Callable
+from functools import cached_property, lru_cache
 from typing import Any
 
 import cv2
@@ -17,6 +18,7 @@ from twohands.skeleton import N_PART_LABELS
 from twohands.synth.render.chart import chart
 from twohands.synth.render.compositing import partly_covered
 from twohands.synth.render.markings import HIGH, LOW, on_painting, paint_markings
+from twohands.synth.render.people import PeoplePass
 from twohands.synth.render.shaders import (
     LABEL_FRAGMENT,
     LABEL_VERTEX,
@@ -37,6 +39,8 @@ from twohands.synth.scene.things import vertex_normals
 from twohands.types import PinholeCamera, RenderedFrame
 
 NEAR_M, FAR_M = 0.01, 4.0
+PEOPLE_FAR_M = 12.0
+"""Farthest distance that is drawn, without and with whole people."""
 MARKINGS_UNIT, TILE_UNIT = 0, 1
 """Of textures."""
 KEPT_TILES = 64
@@ -169,7 +173,18 @@ class RasterRenderer:
         with self.ctx:  # other renderers of this process have contexts of their own
             return self._render(scene)
 
+    @cached_property
+    def _people(self) -> PeoplePass:
+        return PeoplePass(self.ctx)
+
+    @cached_property
+    def _thing_shadow(self) -> Any:
+        row = (self._thing_rows, "3f 32x", "position")
+        return self.ctx.vertex_array(self._people.programs["shadow"], [row], self._thing_faces)
+
     def _render(self, scene: SceneSpec) -> RenderedFrame:
+        if scene.people:
+            return self._render_people(scene)
         self._upload_shape(scene)
         projection = _projection(scene.camera)
         self._pose["bones"].write(_palette(scene))
@@ -185,6 +200,24 @@ class RasterRenderer:
         self._draw(self._label_array, scene.present)
         if corners:
             self._thing_arrays[1].render(vertices=corners)
+        return self._drawn(scene, corners, lambda: self._draw(colour_array, scene.present))
+
+    def _render_people(self, scene: SceneSpec) -> RenderedFrame:
+        projection = _projection(scene.camera, PEOPLE_FAR_M)
+        for program in (self._thing, self._thing_label):
+            program["projection"].write(projection)
+        self._write_light(scene, (self._thing,))
+        corners = self._write_things(scene)
+        self._people.prepare(scene.people, scene.lighting, projection, self._thing_shadow, corners)
+        self._labelled.use()
+        self.ctx.clear(0.0, 0.0, 0.0, 0.0)
+        self._people.draw_labels()
+        if corners:
+            self._thing_arrays[1].render(vertices=corners)
+        return self._drawn(scene, corners, self._people.draw_colour)
+
+    def _drawn(self, scene: SceneSpec, corners: int, draw: Callable[[], None]) -> RenderedFrame:
+        """The frame whose labels have been drawn, after colour has."""
         shape = (self.height, self.width)
         labels = np.frombuffer(self._labelled.read(components=1, alignment=1), np.uint8).reshape(shape)
         depth = np.frombuffer(self._labelled.read(components=1, attachment=1, dtype="f4"), np.float32).reshape(shape)
@@ -195,7 +228,7 @@ class RasterRenderer:
             self._multisampled.scissor = area  # holds for the copy too
             self._multisampled.use()
             self.ctx.clear(0.0, 0.0, 0.0, 0.0)
-            self._draw(colour_array, scene.present)
+            draw()
             if corners:
                 self._thing_arrays[0].render(vertices=corners)
             self.ctx.copy_framebuffer(self._resolved, self._multisampled)
@@ -215,7 +248,10 @@ class RasterRenderer:
             self._labelled.use()
             for side in np.flatnonzero(scene.present):
                 self.ctx.clear(0.0, 0.0, 0.0, 0.0)
-                self._draw(self._label_array, np.arange(2) == side)
+                if scene.people:
+                    self._people.draw_arm(int(side))
+                else:
+                    self._draw(self._label_array, np.arange(2) == side)
                 for first, thing in zip(first_corners, scene.things, strict=False):
                     if thing.side == side:
                         self._thing_arrays[1].render(first=int(first), vertices=thing.faces.size)
@@ -266,19 +302,23 @@ class RasterRenderer:
         texture.filter = (self.ctx.LINEAR_MIPMAP_NEAREST, self.ctx.LINEAR)
         return texture
 
-    def _write_look(self, scene: SceneSpec, colour: Any) -> None:
-        skin, light, clothes = scene.skin, scene.lighting, scene.clothes
+    def _write_light(self, scene: SceneSpec, programs: tuple[Any, ...]) -> None:
+        light = scene.lighting
         positions, colours = np.zeros((MAX_LIGHTS, 3)), np.zeros((MAX_LIGHTS, 3))
         positions[: len(light.positions)] = light.positions
         colours[: len(light.colours)] = light.colours
-        for program in (colour, self._pose, self._thing):
+        for program in programs:
             # Lights stand in the body's metres, so that scaling the world leaves the picture as it is.
             program["light_position"].write((positions * scene.scale).astype("f4").tobytes())
             program["light_colour"].write((colours * scene.scale**2).astype("f4").tobytes())
             program["light_count"].value = len(light.positions)
-        for program in (self._pose, self._thing):
-            program["sky"].value = tuple(light.sky)
-            program["ground"].value = tuple(light.ground)
+            if "sky" in program:
+                program["sky"].value = tuple(light.sky)
+                program["ground"].value = tuple(light.ground)
+
+    def _write_look(self, scene: SceneSpec, colour: Any) -> None:
+        skin, clothes = scene.skin, scene.clothes
+        self._write_light(scene, (colour, self._pose, self._thing))
         for program in (colour, self._pose):
             program["sleeve_from"].value = min(clothes.sleeve_from, NOWHERE)
             program["glove_until"].value = max(clothes.glove_until, -NOWHERE)
@@ -350,10 +390,10 @@ def _palette(scene: SceneSpec) -> bytes:
     return rows.tobytes()
 
 
-def _projection(camera: PinholeCamera) -> bytes:
+def _projection(camera: PinholeCamera, far_m: float = FAR_M) -> bytes:
     """OpenGL clip matrix of a pinhole camera looking along +z with y down, row 0 lowest, column-major bytes."""
-    a = (FAR_M + NEAR_M) / (FAR_M - NEAR_M)
-    b = -2 * FAR_M * NEAR_M / (FAR_M - NEAR_M)
+    a = (far_m + NEAR_M) / (far_m - NEAR_M)
+    b = -2 * far_m * NEAR_M / (far_m - NEAR_M)
     matrix = np.array(
         [
             [2 * camera.fx / camera.width, 0, 2 * camera.cx / camera.width - 1, 0],

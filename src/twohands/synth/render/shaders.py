@@ -13,7 +13,7 @@ MAX_CAPSULES: Final = 42
 POSED: Final = ("camera_position", "camera_normal", "irradiance", "shadow", "mottling")
 """What `POSE_VERTEX` captures, in this order: 3, 3, 3, 4 and 1 floats a vertex."""
 
-_NOISE: Final = """
+NOISE: Final = """
 float hash(vec3 p) {
     p = fract(p * 0.3183099 + 0.1);
     p *= 17.0;
@@ -30,7 +30,7 @@ float noise(vec3 x) {
 }
 """
 
-_GRAIN: Final = """
+GRAIN: Final = """
 // Fine texture, about -0.5 to 0.5, for less than half the price of `noise`: triangle waves, bent twice.
 float grains(vec3 x) {
     x += 3.1 * abs(fract(x.yzx * 0.171) - 0.5);
@@ -40,7 +40,7 @@ float grains(vec3 x) {
 }
 """
 
-_TONE: Final = """
+TONE: Final = """
 vec4 tone(vec3 lit) {  // sRGB's curve within 2 levels, 6 in the deepest shadows, by a root: a power would cost more
     vec3 root = sqrt(clamp(lit / (1.0 + 0.25 * lit), 0.0, 1.0));
     return vec4(root * (1.1386 - 0.1386 * root), 1.0);
@@ -78,7 +78,7 @@ out vec3 irradiance;  // diffuse light of sky and lamps
 out vec4 shadow;  // share of each light that reaches this point
 out float mottling;  // coarse changes of the skin's colour
 
-{_NOISE}
+{NOISE}
 
 void blend(inout vec4 rows[3], int bone, float weight) {{
     for (int r = 0; r < 3; ++r) rows[r] += weight * bones[3 * bone + r];
@@ -249,7 +249,7 @@ in vec3 base;
 in float gloss;
 out vec4 colour;
 
-{_TONE}
+{TONE}
 
 void main() {{
     vec3 n = normalize(facing);
@@ -302,8 +302,8 @@ in float on_arm;
 in float blotch;
 out vec4 colour;
 
-{_GRAIN}
-{_TONE}
+{GRAIN}
+{TONE}
 #ifdef CHART
 in vec3 on_chart;  // place on the markings, 0..1, and how squarely the skin faces its sheet
 #endif

@@ -16,7 +16,7 @@ SHAPE_RANK = 24
 """Leading shape directions that random people use; the rest are below what a picture shows."""
 
 
-MONK_SRGB = np.array(
+_MONK_SRGB = np.array(
     [
         [246, 237, 228],
         [243, 231, 219],
@@ -35,9 +35,9 @@ MONK_SRGB = np.array(
 
 def sample_skin(config: SynthConfig, rng: np.random.Generator) -> Skin:
     """Skin whose tone is even over the Monk scale, with the variation of hue that one tone covers."""
-    tone = rng.uniform(*config.skin_tones) * (len(MONK_SRGB) - 1)
-    low = min(int(tone), len(MONK_SRGB) - 2)
-    srgb = (MONK_SRGB[low] * (1 - tone + low) + MONK_SRGB[low + 1] * (tone - low)) / 255
+    tone = rng.uniform(*config.skin_tones) * (len(_MONK_SRGB) - 1)
+    low = min(int(tone), len(_MONK_SRGB) - 2)
+    srgb = (_MONK_SRGB[low] * (1 - tone + low) + _MONK_SRGB[low + 1] * (tone - low)) / 255
     albedo = srgb**2.2
     # The printed scale is paler than lit skin; blood reddens and deepens it.
     albedo = albedo * np.array([0.86, 0.60, 0.46]) ** rng.uniform(0.75, 1.5) * rng.uniform(0.9, 1.2)

@@ -1,4 +1,4 @@
-"""What one person looks like (clothes and their fabrics, hair, skin, eyes) and how they stand: what a renderer needs."""
+"""What one person looks like (clothes, hair, skin, eyes) and how they stand: all that a renderer needs."""
 
 from __future__ import annotations
 

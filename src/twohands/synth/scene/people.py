@@ -1,8 +1,9 @@
-"""Whole people: shape, rig and clothes of the packaged asset (`twohands.synth.scene.people_bake`), and what one person wears.
+"""Whole people: shape, rig and what can be worn, of the packaged asset (`twohands.synth.scene.people_bake`).
 
 Frame: between the eyes of a person at rest who looks straight ahead (x right, y down, z forward, metres), as in
-`twohands.synth.scene.body`. Every bone rotates about its head, in the axes of this frame at rest, relative to its parent.
-The highest bone of the spine, where neck and shoulders begin, stays where it is: bending the spine moves the pelvis.
+`twohands.synth.scene.body`. Every bone rotates about its head, in the axes of this frame at rest, relative to its
+parent. The highest bone of the spine, where neck and shoulders begin, stays where it is: bending the spine moves the
+pelvis.
 """
 
 from __future__ import annotations
@@ -18,9 +19,15 @@ import numpy as np
 
 from twohands.errors import DataFormatError
 from twohands.synth.scene.body import BONE_NAMES, JOINT_BONES, Body, each_moved, load_asset
+from twohands.synth.scene.things import joined
 
 ASSET: Final = Path(__file__).parent / "assets" / "people.npz"
 N_INFLUENCES: Final = 8
+HEAD_CENTRE: Final = np.array([0.0, -0.03, -0.09])
+HEAD_RADIUS_M: Final = 0.085
+CAP_VERTICES: Final = 260
+"""Parts of a hair's mesh with at least so many vertices lie on the head; smaller ones are cards."""
+TIED: Final = ("ponytail", "braid")
 EYE_PARTS: Final = ("helper-l-eye", "helper-r-eye")
 
 _SPINE: Final = ("root", "spine05", "spine04", "spine03", "spine02", "spine01", "neck01", "neck02", "neck03", "head")
@@ -68,7 +75,8 @@ class Worn:
         faces: (F, 3) counter-clockwise from outside.
         hidden: (N,) bool, the body's points that lie under it.
         zone: (V,) which fabric (`people_bake.zones`); zeros for all but outfits.
-        strand: (V, 4) see `people_bake.strands`; zeros for all but hair.
+        open: (V,) share of the light from all around that reaches it, at rest.
+        first, same: one vertex of every place (P,), and the place of every vertex (V,): vertices are split at seams.
     """
 
     bind: np.ndarray
@@ -80,7 +88,9 @@ class Worn:
     faces: np.ndarray
     hidden: np.ndarray
     zone: np.ndarray
-    strand: np.ndarray
+    open: np.ndarray
+    first: np.ndarray
+    same: np.ndarray
 
     def fitted(self, points: np.ndarray) -> np.ndarray:
         """(V, 3) the mesh on a body at rest (N, 3)."""
@@ -107,6 +117,7 @@ class PeopleAsset:
         arm_rows: (V,) the points that are the vertices of the arms' asset.
         skin_source, skin_uv, skin_faces: the skin and eyes as drawn: points (S,), map (S, 2), triangles (F, 3).
         is_eye: (2, N) bool, points of the left and right eyeball.
+        open: (N,) share of the light from all around that reaches the bare skin at rest.
         worn: by name, for example `outfit/male_casualsuit03`.
         pictures: files of the maps by name.
     """
@@ -121,6 +132,7 @@ class PeopleAsset:
     skin_uv: np.ndarray
     skin_faces: np.ndarray
     is_eye: np.ndarray
+    open: np.ndarray
     worn: Mapping[str, Worn]
     pictures: Mapping[str, np.ndarray]
 
@@ -156,14 +168,63 @@ class PeopleAsset:
         last = heads[JOINT_BONES[:, [4, 8, 12, 16, 20]]]
         return Body(vertices, heads, vertices[asset.tip_vertices] * 0.9 + last * 0.1, asset)
 
+    def strands(self, name: str) -> np.ndarray:
+        """(V, 4) how the strands of a hair run, see `strands_of`; kept."""
+        kept = self._strands
+        if name not in kept:
+            worn = self.worn[f"hair/{name}"]
+            kept[name] = strands_of(worn, worn.fitted(self.average[: self.n_points]), tied=name.startswith(TIED))
+        return kept[name]
+
+    @cached_property
+    def _strands(self) -> dict[str, np.ndarray]:
+        return {}
+
     def picture(self, name: str) -> np.ndarray:
         """(H, W, 3 or 4) uint8, a map, RGB or RGBA."""
-        decoded = cv2.imdecode(self.pictures[name], cv2.IMREAD_UNCHANGED)
+        decoded = np.asarray(cv2.imdecode(self.pictures[name], cv2.IMREAD_UNCHANGED))
         return cv2.cvtColor(decoded, cv2.COLOR_BGRA2RGBA if decoded.shape[2] == 4 else cv2.COLOR_BGR2RGB)
 
     def names(self, kind: str) -> tuple[str, ...]:
         """Names of all that is worn of a kind: outfit, shoes, hat, hair, brow, lash."""
         return tuple(sorted(name.split("/")[1] for name in self.worn if name.startswith(f"{kind}/")))
+
+
+def strands_of(hair: Worn, place: np.ndarray, *, tied: bool) -> np.ndarray:
+    """How strands run over a hair's mesh, whose vertices lie at `place` (V, 3).
+
+    Cards run along their map's longer side. Caps run from the crown down, or where hair is tied from the face to the
+    knot, on meridians about that place.
+
+    Returns:
+        (V, 4): place across the strands in metres; along them, 0 at the root, 1 at the tip; 0 at the edge of the mesh,
+        1 within; 1 on a card, 0 on a cap.
+    """
+    island = joined(len(place), hair.faces)
+    source = hair.same[hair.faces]
+    edges = np.sort(np.concatenate([source[:, [0, 1]], source[:, [1, 2]], source[:, [2, 0]]]), axis=1)
+    unique, times = np.unique(edges, axis=0, return_counts=True)
+    inside = ~np.isin(hair.same, unique[times == 1])
+    turn = np.array([[1.0, 0, 0], [0, 0, 1], [0, 1, 0]]) if tied else np.eye(3)
+    around = (place - HEAD_CENTRE) @ turn.T  # y away from the pole, z away from the seam
+    across = np.arctan2(around[:, 0], around[:, 2]) * HEAD_RADIUS_M
+    pole = np.arctan2(np.hypot(around[:, 0], around[:, 2]), -around[:, 1])
+    out = np.stack([across, pole / np.pi, inside, np.zeros(len(place))], axis=1)
+    for number, size in enumerate(np.bincount(island)):
+        if size >= CAP_VERTICES:
+            continue
+        own = np.flatnonzero(island == number)
+        at, uv = place[own] - place[own].mean(0), hair.uv[own] - hair.uv[own].mean(0)
+        # The long way of a card is measured on the head, not on its map.
+        per_uv = np.linalg.lstsq(uv, at, rcond=None)[0]
+        length = np.linalg.norm(per_uv, axis=1) * np.ptp(uv, axis=0)
+        long = int(length.argmax())
+        along = (uv[:, long] - uv[:, long].min()) / max(float(np.ptp(uv[:, long])), 1e-6)
+        if per_uv[long, 1] < 0:
+            along = 1 - along
+        sideways = uv[:, 1 - long] / max(float(np.ptp(uv[:, 1 - long])), 1e-6) * length[1 - long]
+        out[own] = np.stack([sideways + 0.037 * number, along, inside[own], np.ones(len(own))], axis=1)
+    return out
 
 
 @lru_cache(maxsize=1)
@@ -193,6 +254,8 @@ def _parsed(raw: dict[str, np.ndarray]) -> PeopleAsset:
         part = {key: raw[f"{name}/{key}"] for key in ("bind", "weight", "offset", "scale", "reference", "uv", "faces")}
         count = len(part["bind"])
         weight = part["weight"].astype(np.float64)
+        binding = np.column_stack([part["bind"], part["weight"], part["offset"]])
+        _, first, same = np.unique(binding, axis=0, return_index=True, return_inverse=True)
         return Worn(
             part["bind"].astype(np.int64),
             weight / weight.sum(1, keepdims=True),
@@ -203,7 +266,9 @@ def _parsed(raw: dict[str, np.ndarray]) -> PeopleAsset:
             part["faces"].astype(np.int64),
             np.unpackbits(raw[f"{name}/hidden"], count=n).astype(bool),
             raw.get(f"{name}/zone", np.zeros(count, np.uint8)),
-            raw.get(f"{name}/strand", np.zeros((count, 4), np.float16)).astype(np.float32),
+            raw.get(f"{name}/open", np.full(count, 255, np.uint8)) / 255.0,
+            first,
+            same.reshape(-1),
         )
 
     return PeopleAsset(
@@ -217,6 +282,7 @@ def _parsed(raw: dict[str, np.ndarray]) -> PeopleAsset:
         skin_uv=raw["skin_uv"],
         skin_faces=raw["skin_faces"].astype(np.int64),
         is_eye=raw["eye_rows"],
+        open=raw["open"] / 255.0,
         worn={name: worn(name) for name in names},
         pictures={key[4:]: value for key, value in raw.items() if key.startswith("map/")},
     )

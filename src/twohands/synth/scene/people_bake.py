@@ -19,6 +19,7 @@ from twohands.errors import DataFormatError, MissingExtraError
 from twohands.synth.scene.bake import arm_local_changes, average_adult
 from twohands.synth.scene.body import BONE_NAMES, CAMERA_FROM_BODY, load_asset
 from twohands.synth.scene.people import BODY_BONES, EYE_PARTS, N_INFLUENCES
+from twohands.synth.scene.things import joined, vertex_normals
 
 TRAITS: Final = ("gender", "age", "muscle", "weight", "height", "proportions", "african", "asian", "caucasian")
 """What of a sampled adult the asset keeps beside the shape; ages are Anny's (2/3 a young adult, 1 old)."""
@@ -33,8 +34,8 @@ LEFT_OUT: Final = ("trans-out", "angle-out", "head-age", "mouth-laugh", "neck-do
 IMPORTANCE: Final = {"head": 6.0, "hand": 4.0}
 """How much more an error of the basis counts on heads and hands."""
 
-HAIRS: Final = tuple(f"{name}01" for name in ("afro", "bob", "braid", "long", "ponytail", "short")) + (
-    "bob02", "short02", "short03", "short04",
+HAIRS: Final = (
+    "afro01", "bob01", "bob02", "braid01", "long01", "ponytail01", "short01", "short02", "short03", "short04",
 )  # fmt: skip
 OUTFITS: Final = (
     "female_casualsuit01", "female_casualsuit02", "female_elegantsuit01", "female_sportsuit01",
@@ -50,8 +51,6 @@ MAPS: Final = {  # name in the asset: file, size, format, its quality
     "eye_blue": ("blue_eye.png", 256, ".jpg", 92),
     "brow": ("eyebrow011.png", 512, ".png", 9),
     "lash": ("eyelashes01.png", 512, ".png", 9),
-    "teeth": ("teeth.png", 512, ".jpg", 85),
-    "wrinkles": ("tshirt02_normals.png", 1024, ".jpg", 90),
 }
 BOTTOM_BELOW_DM: Final = 1.0
 """Islands of an outfit's map whose middle is lower than this, in the base mesh's decimetres, are trousers or skirts."""
@@ -173,18 +172,6 @@ def read_garment(binding: Path, mesh: Path) -> Garment:
     )  # fmt: skip
 
 
-def joined(n_vertices: int, faces: np.ndarray) -> np.ndarray:
-    """(V,) number of the connected part that each vertex belongs to."""
-    part = np.arange(n_vertices)
-    while True:
-        lowest = part.copy()
-        np.minimum.at(lowest, faces.ravel(), np.repeat(part[faces].min(1), 3))
-        lowest = lowest[lowest]
-        if (lowest == part).all():
-            return np.unique(part, return_inverse=True)[1].reshape(-1)
-        part = lowest
-
-
 def zones(garment: Garment, base_dm: np.ndarray) -> np.ndarray:
     """(V,) which of the outfit's fabrics a vertex has: 0 top, 1 bottom, 2 what is worn over or set off against the top,
     3 buttons, buckles and other small things."""
@@ -206,44 +193,70 @@ def zones(garment: Garment, base_dm: np.ndarray) -> np.ndarray:
     return zone
 
 
-def strands(garment: Garment, base_dm: np.ndarray) -> np.ndarray:
-    """(V, 4) for hair: place across the strands in metres, along them (0 root, 1 tip), how near the edge of its card
-    a vertex is (0 at the edge), and whether it belongs to a card (1) or to a cap (0)."""
+def metric_uv(garment: Garment, base_dm: np.ndarray) -> np.ndarray:
+    """(V, 2) the map's coordinates, every island in metres on the body."""
     place = _fitted(garment, base_dm) / 10
     island = joined(len(garment.uv), garment.faces)
-    crown = np.array([0.0, np.quantile(place[:, 1], 0.97), np.median(place[:, 2])])
-    out = np.zeros((len(place), 4))
-    boundary = _boundary(garment, len(place))
-    for number in range(island.max() + 1):
-        own = np.flatnonzero(island == number)
-        at, uv = place[own], garment.uv[own]
-        card = len(own) < 420
-        if card:
-            centred = uv - uv.mean(0)
-            # The long way of a card, measured on the body, not on its map.
-            stretch = [float(np.linalg.norm(np.linalg.lstsq(centred, at - at.mean(0), rcond=None)[0][k]) * np.ptp(uv[:, k])) for k in (0, 1)]
-            long = int(np.argmax(stretch))
-            along = (uv[:, long] - uv[:, long].min()) / max(float(np.ptp(uv[:, long])), 1e-6)
-            if np.corrcoef(along, at[:, 1])[0, 1] > 0:
-                along = 1 - along
-            across = uv[:, 1 - long] / max(float(np.ptp(uv[:, 1 - long])), 1e-6) * stretch[1 - long]
-        else:
-            offset = at - crown
-            radius = np.hypot(offset[:, 0], offset[:, 2])
-            across = np.arctan2(offset[:, 0], -offset[:, 2]) * 0.07
-            along = np.sqrt(radius**2 + offset[:, 1] ** 2)
-            along = along / along.max()
-        out[own] = np.stack([across + 0.37 * number, along, np.where(boundary[own], 0.0, 1.0), np.full(len(own), float(card))], 1)
-    return out
+    a, b, c = (place[garment.faces[:, i]] for i in range(3))
+    p, q, r = (garment.uv[garment.faces[:, i]] for i in range(3))
+    true = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    u, v = q - p, r - p
+    mapped = np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
+    of = island[garment.faces[:, 0]]
+    size = np.bincount(of, true, island.max() + 1) / np.maximum(np.bincount(of, mapped, island.max() + 1), 1e-12)
+    return garment.uv * np.sqrt(size)[island][:, None]
 
 
-def _boundary(garment: Garment, count: int) -> np.ndarray:
-    """(V,) whether a vertex lies on an edge of only one triangle, seams of the map not counted."""
-    source = garment.source[garment.faces]
-    edges = np.sort(np.concatenate([source[:, [0, 1]], source[:, [1, 2]], source[:, [2, 0]]]), axis=1)
-    unique, times = np.unique(edges, axis=0, return_counts=True)
-    on_edge = np.unique(unique[times == 1])
-    return np.isin(garment.source[:count], on_edge)
+def samples_of(vertices: np.ndarray, faces: np.ndarray, spacing_m: float = 0.004) -> np.ndarray:
+    """(M, 3) points all over a mesh, at most about `spacing_m` apart."""
+    corners = vertices[faces]
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=-1).max(1)
+    steps = np.clip(np.ceil(longest / spacing_m), 1, 24).astype(int)
+    out = []
+    for n in np.unique(steps):
+        i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1), indexing="ij")
+        inside = i + j <= n
+        share = np.stack([i[inside], j[inside], n - i[inside] - j[inside]], 1) / n
+        out.append(np.einsum("sk,fkc->fsc", share, corners[steps == n]).reshape(-1, 3))
+    return np.concatenate(out)
+
+
+def openness(points: np.ndarray, normals: np.ndarray, around: np.ndarray) -> np.ndarray:
+    """(P,) share of the sky over every point, weighted by the cosine, that nothing within 35 cm hides.
+
+    Args:
+        points, normals: (P, 3), metres.
+        around: (M, 3) samples of everything that hides light.
+    """
+    count, cell = 64, 0.005
+    height = 1 - 2 * (np.arange(count) + 0.5) / count
+    turn = np.arange(count) * np.pi * (3 - np.sqrt(5))
+    ring = np.sqrt(1 - height**2)
+    seen, total = np.zeros(len(points)), np.full(len(points), 1e-9)
+    for d in np.stack([ring * np.cos(turn), height, ring * np.sin(turn)], 1):
+        x = np.cross(d, [0.3, 0.5, 0.81])
+        x /= np.linalg.norm(x)
+        plane = np.stack([x, np.cross(d, x)], 1)
+        at = np.floor(around @ plane / cell).astype(int)
+        low = at.min(0) - 8
+        width = np.ptp(at, axis=0) + 17
+        top = np.full(width.prod(), -np.inf)
+        flat = (at - low) @ [width[1], 1]
+        np.maximum.at(top, flat, around @ d)
+        start = points + 0.006 * normals
+        own = np.clip(np.floor(start @ plane / cell).astype(int) - low, 0, width - 1) @ [width[1], 1]
+        gap = top[own] - start @ d
+        weight = np.maximum(normals @ d, 0)
+        seen += weight * ~((gap > 0.008) & (gap < 0.35))
+        total += weight
+    return seen / total
+
+
+def _normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(V, 3) unit normals, smooth across seams."""
+    _, first, same = np.unique(np.round(vertices, 6), axis=0, return_index=True, return_inverse=True)
+    same = same.reshape(-1)
+    return vertex_normals(vertices[first], same[faces])[same]
 
 
 def _fitted(garment: Garment, base: np.ndarray) -> np.ndarray:
@@ -276,7 +289,9 @@ def random_people(model: Any, count: int, rng: np.random.Generator) -> tuple[dic
     and builds varied, left and right alike; dictionaries of (count,) tensors."""
     import torch
 
-    values = {key: rng.uniform(0, 1, count) for key in ("muscle", "weight", "height", "proportions", "cupsize", "firmness")}
+    values = {
+        key: rng.uniform(0, 1, count) for key in ("muscle", "weight", "height", "proportions", "cupsize", "firmness")
+    }
     side = rng.random(count) < 0.5
     values["gender"] = np.where(side, 1 - rng.beta(1, 6, count), rng.beta(1, 6, count))
     values["age"] = rng.uniform(0.62, 1.0, count)
@@ -386,7 +401,10 @@ def bake_people(
     average = np.concatenate([vertices[0][used], heads[0]])
     dense = model.dense_vertex_bone_weights.numpy()[used]
     weights = _merged(dense, labels)
-    hand = weights[:, [i for i, name in enumerate((*BODY_BONES, *BONE_NAMES)) if name.startswith(("wrist", "finger", "metacarpal"))]].sum(1)
+    hand = weights[
+        :,
+        [i for i, name in enumerate((*BODY_BONES, *BONE_NAMES)) if name.startswith(("wrist", "finger", "metacarpal"))],
+    ].sum(1)
     head = weights[:, BODY_BONES.index("head")]
     importance = 1 + (IMPORTANCE["head"] - 1) * head + (IMPORTANCE["hand"] - 1) * hand
     importance = np.concatenate([importance, np.full(len(heads[0]), 3.0)])
@@ -413,6 +431,16 @@ def bake_people(
         "skin_faces": index.reshape(-1, 3).astype(np.uint16),
         "eye_rows": np.stack([np.isin(used, np.unique(_group(model, name))) for name in EYE_PARTS]),
     }
+    body = average[: len(used)]
+    skin_faces = position[faces]
+    is_eye = np.any(arrays["eye_rows"], axis=0)
+    skin_faces = skin_faces[~is_eye[skin_faces].any(1)]
+    around = samples_of(body, skin_faces)
+    arrays["open"] = _bytes(openness(body, vertex_normals(body, skin_faces), around))
+    say("light on the skin")
+    to_camera = np.array([-1.0, -1.0, 1.0])
+    reference_dm = np.zeros_like(base_dm)
+    reference_dm[used] = body * to_camera * 10
     for name, garment in garments.items():
         hidden = np.zeros(len(base_dm), bool)
         hidden[garment.hidden] = True
@@ -422,27 +450,40 @@ def bake_people(
             "offset": (garment.offset / 10).astype(np.float16),
             "scale": np.where(garment.scale > 0, position[garment.scale], 0).astype(np.uint16),
             "reference": np.where((garment.scale > 0).any(1), garment.reference / 10, 0).astype(np.float32),
-            "uv": garment.uv.astype(np.float16),
+            "uv": garment.uv.astype(np.float32),
             "faces": garment.faces.astype(np.uint16),
             "hidden": np.packbits(hidden[used]),
         }
         if name.startswith("outfit/"):
             parts["zone"] = zones(garment, base_dm).astype(np.uint8)
-        if name.startswith("hair/"):
-            parts["strand"] = strands(garment, base_dm).astype(np.float16)
+        if name.startswith(("outfit/", "shoes/", "hat/")):
+            parts["uv"] = metric_uv(garment, base_dm).astype(np.float32)
+        if not name.startswith(("brow/", "lash/")):
+            place = _fitted(garment, reference_dm) / 10 * to_camera
+            own = samples_of(place, garment.faces)
+            parts["open"] = _bytes(openness(place, _normals(place, garment.faces), np.concatenate([own, around])))
+            say(name)
         arrays |= {f"{name}/{key}": value for key, value in parts.items()}
     for name, (file, size, kind, quality) in MAPS.items():
         arrays[f"map/{name}"] = _encoded(source / "textures" / file, size, kind, quality)
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("wb") as stream:
-        np.savez_compressed(stream, **arrays)
+        np.savez_compressed(stream, allow_pickle=False, **arrays)
     return {
         "base vertices": len(used),
         "rank": len(basis),
-        "mean and largest error of the basis, mm": (round(1e3 * float(error.mean()), 2), round(1e3 * float(error.max()), 1)),
+        "mean and largest error of the basis, mm": (
+            round(1e3 * float(error.mean()), 2),
+            round(1e3 * float(error.max()), 1),
+        ),
         "garments": len(garments),
         "bytes": path.stat().st_size,
     }
+
+
+def _bytes(share: np.ndarray) -> np.ndarray:
+    """(N,) uint8 of shares 0..1."""
+    return np.rint(255 * np.clip(share, 0, 1)).astype(np.uint8)
 
 
 def _group(model: Any, name: str) -> np.ndarray:
@@ -486,9 +527,9 @@ def _nearest(points: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     Raises:
         DataFormatError: one is farther than 0.1 mm.
     """
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
-    distance, index = cKDTree(points).query(wanted)
+    distance, index = KDTree(points).query(wanted)
     if distance.max() > 1e-4:
         raise DataFormatError(f"the arms' asset lies {1e3 * distance.max():.2f} mm off Anny's average adult")
     return np.asarray(index)

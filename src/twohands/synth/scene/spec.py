@@ -9,6 +9,8 @@ import numpy as np
 
 from twohands.synth.scene.body import Body, load_asset
 from twohands.synth.scene.fabrics import Fabric
+from twohands.synth.scene.looks import PersonSpec
+from twohands.synth.scene.people import load_people
 from twohands.synth.scene.things import Thing
 from twohands.types import PinholeCamera
 
@@ -117,6 +119,8 @@ class SceneSpec:
         view: (3, 4) from the frame between the eyes (SPEC 5.1) to the camera, before scaling.
         clothes: sleeves and gloves.
         things: what the hands hold and wear, in the frame between the eyes, before scaling.
+        people: whole people, drawn instead of the arms alone; the first is the one that all else here is about, and
+            whose arms have labels.
     """
 
     camera: PinholeCamera
@@ -131,17 +135,25 @@ class SceneSpec:
     view: np.ndarray = field(default_factory=lambda: np.eye(3, 4))
     clothes: Clothes = BARE
     things: tuple[Thing, ...] = ()
+    people: tuple[PersonSpec, ...] = ()
 
     @property
     def body(self) -> Body:
         """The person at rest."""
-        return body_of(tuple(self.shape.tolist()))
+        shape = tuple(self.shape.tolist())
+        return arms_of(shape) if self.people else body_of(shape)
 
 
 @lru_cache(maxsize=16)
 def body_of(shape: tuple[float, ...]) -> Body:
     """The person at rest with these shape coefficients; the last few are kept."""
     return load_asset().body(np.array(shape) if shape else None)
+
+
+@lru_cache(maxsize=16)
+def arms_of(shape: tuple[float, ...]) -> Body:
+    """The arms of a whole person at rest with these shape coefficients; the last few are kept."""
+    return load_people().arms_body(np.array(shape))
 
 
 def moved(view: np.ndarray, points: np.ndarray) -> np.ndarray:

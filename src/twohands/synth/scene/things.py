@@ -127,6 +127,18 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return normals / np.maximum(np.sqrt(dot(normals, normals)), 1e-12)[:, None]
 
 
+def joined(n_vertices: int, faces: np.ndarray) -> np.ndarray:
+    """(V,) number of the connected part that each vertex belongs to."""
+    part = np.arange(n_vertices)
+    while True:
+        lowest = part.copy()
+        np.minimum.at(lowest, faces.ravel(), np.repeat(part[faces].min(1), 3))
+        lowest = lowest[lowest]
+        if (lowest == part).all():
+            return np.unique(part, return_inverse=True)[1].reshape(-1)
+        part = lowest
+
+
 def band(
     points: np.ndarray,
     origin: np.ndarray,

@@ -7,11 +7,38 @@ from typing import Final
 
 import numpy as np
 
-from twohands.synth.scene.appearance import MONK_SRGB
 from twohands.synth.scene.fabrics import Fabric
-from twohands.synth.scene.looks import CHECK, DENIM, DOTS, FULL, KINDS, MELANGE, PLAID, PLAIN, PRINT, STRIPES, Cloth, PersonLook
+from twohands.synth.scene.looks import (
+    CHECK,
+    DENIM,
+    DOTS,
+    FULL,
+    KINDS,
+    MELANGE,
+    PLAID,
+    PLAIN,
+    PRINT,
+    STRIPES,
+    Cloth,
+    PersonLook,
+)
 from twohands.synth.scene.people import load_people
 
+TONES: Final = np.array(
+    [
+        [0.64, 0.43, 0.34],
+        [0.60, 0.38, 0.28],
+        [0.55, 0.34, 0.24],
+        [0.48, 0.28, 0.185],
+        [0.40, 0.225, 0.14],
+        [0.29, 0.15, 0.088],
+        [0.20, 0.10, 0.058],
+        [0.12, 0.060, 0.037],
+        [0.072, 0.038, 0.026],
+        [0.045, 0.026, 0.020],
+    ]
+)
+"""Linear albedo of facial skin at the ten steps of the Monk scale, redder than the printed scale, as lit skin is."""
 LONG_SLEEVES: Final = (
     "female_elegantsuit01", "male_casualsuit01", "male_casualsuit02", "male_casualsuit03", "male_casualsuit05",
     "male_elegantsuit01",
@@ -98,13 +125,14 @@ def sample_look(rng: np.random.Generator, someone: Someone, fabric: Fabric | Non
 
 
 def _skin(rng: np.random.Generator, someone: Someone) -> tuple[np.ndarray, np.ndarray]:
-    """Albedo of skin and palms: even over the Monk scale, darker and lighter where ancestry says so."""
+    """Albedo of skin and palms: over the whole Monk scale, darker and lighter where ancestry says so."""
     african, asian, _ = someone.ancestry
-    tone = rng.beta(1.1 + 3.0 * african, 1.1 + 2.0 * (1 - african)) * (len(MONK_SRGB) - 1)
-    low = min(int(tone), len(MONK_SRGB) - 2)
-    srgb = (MONK_SRGB[low] * (1 - tone + low) + MONK_SRGB[low + 1] * (tone - low)) / 255
-    albedo = srgb**2.2 * np.array([0.86, 0.62, 0.5 - 0.04 * asian]) ** rng.uniform(0.75, 1.35) * rng.uniform(0.85, 1.1)
-    albedo = np.clip(albedo * np.exp(rng.normal(0, 0.03, 3)), 0.016, 0.85)
+    tone = rng.beta(1.1 + 3.0 * african, 1.1 + 2.0 * (1 - african)) * (len(TONES) - 1)
+    low = min(int(tone), len(TONES) - 2)
+    albedo = TONES[low] * (1 - tone + low) + TONES[low + 1] * (tone - low)
+    undertone = rng.normal(0, 0.05) + 0.03 * asian  # towards yellow, or towards red
+    albedo = albedo * np.exp(np.array([-0.3, 0.5, -0.8]) * undertone + rng.normal(0, 0.07))
+    albedo = np.clip(albedo, 0.016, 0.85)
     pale = np.array([0.60, 0.36, 0.27])
     palm = albedo + (pale - albedo) * np.where(albedo < pale, 0.42, 0.12)
     return albedo, palm
@@ -123,7 +151,9 @@ def _hair(rng: np.random.Generator, male: bool, old: float) -> tuple[str | None,
     if male:
         if rng.random() < 0.12 + 0.2 * old:
             return None, None
-        return str(rng.choice([*short, "afro01", "bob02", "ponytail01"], p=[0.23, 0.23, 0.21, 0.21, 0.05, 0.04, 0.03])), None
+        return str(
+            rng.choice([*short, "afro01", "bob02", "ponytail01"], p=[0.23, 0.23, 0.21, 0.21, 0.05, 0.04, 0.03])
+        ), None
     names = ["long01", "bob01", "bob02", "braid01", "ponytail01", "afro01", *short]
     return str(rng.choice(names, p=[0.22, 0.14, 0.14, 0.12, 0.14, 0.06, 0.045, 0.045, 0.045, 0.045])), None
 
@@ -131,7 +161,9 @@ def _hair(rng: np.random.Generator, male: bool, old: float) -> tuple[str | None,
 def _hair_colour(rng: np.random.Generator, someone: Someone, old: float) -> tuple[np.ndarray, float]:
     """Linear albedo from black over brown to blond and red, and the share of grey."""
     fair = someone.ancestry[2] * rng.random()
-    colours = np.array([[0.012, 0.010, 0.009], [0.035, 0.020, 0.012], [0.10, 0.05, 0.025], [0.34, 0.21, 0.10], [0.55, 0.40, 0.22]])
+    colours = np.array(
+        [[0.012, 0.010, 0.009], [0.035, 0.020, 0.012], [0.10, 0.05, 0.025], [0.34, 0.21, 0.10], [0.55, 0.40, 0.22]]
+    )
     place = np.clip(rng.beta(1.0, 2.2) * 0.6 + fair * 0.8, 0, 1) * (len(colours) - 1)
     low = min(int(place), len(colours) - 2)
     albedo = colours[low] + (colours[low + 1] - colours[low]) * (place - low)
@@ -143,7 +175,7 @@ def _hair_colour(rng: np.random.Generator, someone: Someone, old: float) -> tupl
 
 
 def cloth_colour(rng: np.random.Generator) -> np.ndarray:
-    """(3,) linear albedo as wardrobes hold them: black, white and grey often, dark blue, else anything, mostly muted."""
+    """(3,) linear albedo as wardrobes hold them: black, white, grey, dark blue often, else anything muted."""
     kind = rng.random()
     if kind < 0.18:
         grey = rng.uniform(0.012, 0.04)
@@ -170,9 +202,24 @@ def _cloth(rng: np.random.Generator, kinds: list[float]) -> Cloth:
         second = albedo * 2.2 + 0.03
     elif rng.random() < 0.35:  # tone in tone
         second = np.clip(albedo * rng.choice([0.45, 1.8]), 0.01, 0.85)
-    low, high = {STRIPES: (0.004, 0.05), CHECK: (0.004, 0.03), PLAID: (0.03, 0.12), DOTS: (0.008, 0.04), PRINT: (0.05, 0.2)}.get(kind, (0.002, 0.01))
+    low, high = {
+        STRIPES: (0.004, 0.05),
+        CHECK: (0.004, 0.03),
+        PLAID: (0.03, 0.12),
+        DOTS: (0.008, 0.04),
+        PRINT: (0.05, 0.2),
+    }.get(kind, (0.002, 0.01))
     turn = float(rng.choice([0.0, np.pi / 2])) if kind == STRIPES else 0.0
-    return Cloth(albedo, second, kind, float(np.exp(rng.uniform(np.log(low), np.log(high)))), turn, rng.uniform(0.4, 1.0), rng.uniform(0.25, 1.0), rng.uniform(0.7, 0.95))
+    return Cloth(
+        albedo,
+        second,
+        kind,
+        float(np.exp(rng.uniform(np.log(low), np.log(high)))),
+        turn,
+        rng.uniform(0.4, 1.0),
+        rng.uniform(0.25, 1.0),
+        rng.uniform(0.7, 0.95),
+    )
 
 
 def _clothes(rng: np.random.Generator, outfit: str, fabric: Fabric | None) -> tuple[Cloth, ...]:
