@@ -18,7 +18,7 @@ STOREYS = [
     {"geometry"},
     {"synth", "datasets", "models", "evaluation"},
     {"training", "inference", "peers"},
-    {"visualization", "export"},
+    {"visualization", "export", "lifting"},
     {"cli"},
 ]
 """Rooms from the ground up. A room may use itself and lower storeys, never its own storey's neighbours. The ground

@@ -18,9 +18,11 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from twohands.errors import TwoHandsError
     from twohands.formats.camera_files import read_camera
+    from twohands.geometry.lifting import lift
     from twohands.inference.estimator import HandEstimator, StageTruth
     from twohands.inference.sources import read_image
     from twohands.inference.tracker import HandTracker
+    from twohands.lifting.placing import lift_hands
     from twohands.types import HandPose, PinholeCamera, TwoHandPose
     from twohands.visualization.overlay import draw_overlay
     from twohands.visualization.views import draw_views
@@ -37,6 +39,8 @@ _HOME = {
     "TwoHandsError": "twohands.errors",
     "draw_overlay": "twohands.visualization.overlay",
     "draw_views": "twohands.visualization.views",
+    "lift": "twohands.geometry.lifting",
+    "lift_hands": "twohands.lifting.placing",
     "read_camera": "twohands.formats.camera_files",
     "read_image": "twohands.inference.sources",
 }
@@ -51,6 +55,8 @@ __all__ = [
     "TwoHandsError",
     "draw_overlay",
     "draw_views",
+    "lift",
+    "lift_hands",
     "read_camera",
     "read_image",
 ]

@@ -20,6 +20,7 @@ from twohands.errors import MissingExtraError, TwoHandsError
 
 VERBS = {
     "track": "both hands in metres from an image or a folder of images",
+    "lift": "metres from another hand tracker's results: MediaPipe, WiLoR, HaMeR, OpenPose, MMPose",
     "demo": "track the packaged example images",
     "generate": "render labelled synthetic data",
     "inspect": "check a dataset: integrity, counts, contact sheet",

@@ -19,7 +19,7 @@ rounded to DECIMALS; JSON has no NaN, so NaN is null.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
@@ -48,7 +48,7 @@ def to_dict(
     source: str,
     weights: str,
     hand_length_m: float | None = None,
-    files: Sequence[str] | None = None,
+    files: Sequence[str] | Mapping[int, str] | None = None,
 ) -> dict[str, Any]:
     """Results as a JSON-ready dictionary.
 
