@@ -10,9 +10,9 @@ from tests.lifting import formats
 from tests.oracles import drawn_hands
 
 from twohands.errors import DataFormatError, InputError
+from twohands.formats.camera_files import read_camera
 from twohands.geometry.anatomy import HAND_LENGTH, anatomical_joints
 from twohands.geometry.canonical import canonical_from_camera
-from twohands.formats.camera_files import read_camera
 from twohands.inference.records import from_dict, to_dict
 from twohands.inference.tables import csv_text, npz_bytes, to_arrays
 from twohands.lifting.foreign import ForeignHands
@@ -317,7 +317,7 @@ def test_what_is_no_such_file_is_one_line_with_file_and_key(record, message, tmp
         ("missing.json", None, InputError, "no such file"),
         ("a.pkl", b"", InputError, r"ends in \.json"),
         ("a.json", b"{", DataFormatError, "not JSON"),
-        ("a.json", b"\xff\xfe\x00", DataFormatError, "cannot be read as text"),
+        ("a.json", b"\xff\xfe\x00", DataFormatError, "not text in UTF-16"),
         ("a.json", b"[" * 100000, DataFormatError, "not JSON"),
         ("a.jsonl", b"{}\n{", DataFormatError, "line 2: not JSON"),
         ("a.npz", b"PK", DataFormatError, "not a complete npz"),

@@ -17,8 +17,9 @@ import tyro
 
 from twohands.cli.output import write_file
 from twohands.errors import DataFormatError, InputError
-from twohands.geometry.lifting import View
 from twohands.formats.camera_files import read_camera
+from twohands.formats.structured import parse_json, read_bytes
+from twohands.geometry.lifting import View
 from twohands.inference.estimator import DEFAULT_HAND_LENGTH_M
 from twohands.inference.records import from_dict, to_dict
 from twohands.inference.tables import csv_text, npz_bytes, to_arrays
@@ -162,9 +163,9 @@ def _metres(name: str, length_cm: float) -> float:
 
 def _poses(path: Path) -> list[TwoHandPose]:
     try:
-        return from_dict(json.loads(path.read_text(encoding="utf-8")))
-    except (OSError, ValueError, RecursionError) as error:
-        raise DataFormatError(f"--pose {path}: not a hands.json ({error})") from None
+        return from_dict(parse_json(read_bytes(path, "hands.json")))
+    except InputError as error:
+        raise InputError(f"--pose {error}") from None
     except DataFormatError as error:
         raise DataFormatError(f"--pose {path}: {error}") from None
 

@@ -6,7 +6,6 @@ an object whose keys are pictures. A folder holds a file for each picture, as Op
 
 from __future__ import annotations
 
-import json
 import os
 import re
 from collections.abc import Callable, Iterable, Mapping
@@ -18,6 +17,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from twohands.errors import DataFormatError, InputError
+from twohands.formats.structured import decode_text, parse_json, read_bytes
 from twohands.geometry.anatomy import HAND_LENGTH
 from twohands.geometry.lifting import View
 from twohands.lifting import keypoints_2d, mano, mediapipe, own
@@ -26,6 +26,8 @@ from twohands.lifting.mediapipe import Names
 from twohands.types import PinholeCamera
 
 Kind = Literal["mediapipe", "mano", "mmpose", "openpose", "twohands"]
+MAX_BYTES: Final = 1 << 30
+"""Of a file: half an hour of MediaPipe's two hands as JSON takes 0.6 GB."""
 SUFFIXES: Final = (".json", ".jsonl", ".csv", ".npz")
 
 _LISTS: Final = ("frames", "instance_info", "results", "predictions", "images")
@@ -251,16 +253,16 @@ def _named(path: Path, read: Callable[[], ForeignHands]) -> ForeignHands:
 
 def _text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataFormatError(f"{path}: cannot be read as text ({error})") from None
+        return decode_text(read_bytes(path, "tracker's file", MAX_BYTES))
+    except DataFormatError as error:
+        raise DataFormatError(_with_path(path, error)) from None
 
 
 def _json(path: Path) -> Any:
     try:
-        return json.loads(_text(path))
-    except (ValueError, RecursionError) as error:
-        raise DataFormatError(f"{path}: not JSON ({error})") from None
+        return parse_json(read_bytes(path, "tracker's file", MAX_BYTES))
+    except DataFormatError as error:
+        raise DataFormatError(_with_path(path, error)) from None
 
 
 def _json_lines(path: Path) -> list[Any]:
@@ -268,10 +270,14 @@ def _json_lines(path: Path) -> list[Any]:
     for number, line in enumerate(_text(path).splitlines(), 1):
         try:
             if line.strip():
-                records.append(json.loads(line))
-        except (ValueError, RecursionError) as error:
-            raise DataFormatError(f"{path}: line {number}: not JSON ({error})") from None
+                records.append(parse_json(line))
+        except DataFormatError as error:
+            raise DataFormatError(f"{path}: line {number}: {error}") from None
     return records
+
+
+def _with_path(path: Path, error: DataFormatError) -> str:
+    return str(error) if str(error).startswith(f"{path}: ") else f"{path}: {error}"
 
 
 def _npz(path: Path) -> dict[str, np.ndarray]:
