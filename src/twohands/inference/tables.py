@@ -90,7 +90,8 @@ def to_arrays(
 def npz_bytes(arrays: Mapping[str, np.ndarray]) -> bytes:
     """The content of an .npz file."""
     content = io.BytesIO()
-    np.savez_compressed(content, **arrays)
+    stored: dict[str, Any] = dict(arrays)
+    np.savez_compressed(content, **stored)
     return content.getvalue()
 
 
