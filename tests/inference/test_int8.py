@@ -46,6 +46,24 @@ def test_values_after_a_relu_are_clipped_and_rounded_to_256_levels():
     np.testing.assert_allclose(found.ravel(), [6.0, 0.0, 6.6, 153.0], atol=1e-3)
 
 
+def test_what_is_not_rectified_is_rounded_symmetrically_and_grouped_kernels_by_channel():
+    """x -> 2 x, not rectified -> each channel times its own weight -> ReLU6, as in a linear bottleneck."""
+    x = opset.parameter([1, 2, 1, 1], np.float32)
+    diagonal = opset.constant(np.diag([2, 2]).astype(np.float32)[..., None, None])
+    doubled = opset.convolution(x, diagonal, [1, 1], [0, 0], [0, 0], [1, 1])
+    doubled.set_friendly_name("linear")
+    kernel = opset.constant(np.array([3.0, -0.5], np.float32).reshape(2, 1, 1, 1, 1))
+    grouped = opset.group_convolution(doubled, kernel, [1, 1], [0, 0], [0, 0], [1, 1])
+    clipped = opset.clamp(grouped, 0.0, 6.0)
+    clipped.set_friendly_name("clipped")
+    model = openvino.Model([opset.result(clipped)], [x])  # pyright: ignore[reportGeneralTypeIssues]
+    quantise(model, {"linear": 12.7, "clipped": 5.1})  # steps of 0.1 to either side, and of 0.02
+    network = open_core().compile_model(model, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
+    found = network([np.array([0.52, -2.04], np.float32).reshape(1, 2, 1, 1)])[0]
+    # 1.04 -> 1.0, times 3; -4.08 -> -4.1, times -0.5 is 2.05; to a step of the one or the other
+    np.testing.assert_allclose(found.ravel(), [3.0, 2.05], atol=0.055)
+
+
 def test_peaks_are_the_largest_values_over_all_batches():
     rng, folder = np.random.default_rng(0), preset_folder(DEFAULT_PRESET)
     batches = [rng.random((2, 21 + read_card(folder).cues, 32, 32), np.float32) for _ in range(2)]

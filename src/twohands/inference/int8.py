@@ -1,9 +1,9 @@
 """8-bit arithmetic for the convolutions of a network, from nothing but the peaks of its activations.
 
-Weights get one scale per output channel, which they carry in themselves. What follows a ReLU gets one scale, from a
-peak that was measured once, on pictures like those to come (`activation_peaks`), and is stored in the weights' card.
-OpenVINO turns the rounding steps that are put in here into 8-bit kernels, three times as fast as float32 where the
-processor has dot products of bytes. First and last layers, which nothing rectifies, stay as they are.
+Weights get one scale per output channel, which they carry in themselves. What follows a ReLU or feeds a convolution
+gets one scale, from a peak that was measured once, on pictures like those to come (`activation_peaks`), and is stored
+in the weights' card. OpenVINO turns the rounding steps that are put in here into 8-bit kernels, three times as fast as
+float32 where the processor has dot products of bytes. What the network is given stays as it is, and so its first layer.
 """
 
 from __future__ import annotations
@@ -15,35 +15,37 @@ from typing import Any
 import numpy as np
 
 from twohands.errors import CheckpointError
-from twohands.inference.runtime import constant_values, open_core, read_network
+from twohands.inference.runtime import CONVOLUTIONS, constant_values, open_core, read_network
 
 ACTIVATION_LEVELS = 256
+"""Of what a ReLU lets through; what has either sign gets one less, symmetric about zero."""
 WEIGHT_LEVELS = 255
 """Symmetric about zero."""
+RECTIFIERS = ("Relu", "Clamp")
 
 
 def activation_peaks(path: Path, batches: Iterable[np.ndarray]) -> dict[str, float]:
-    """The largest value after every ReLU of a network.
+    """The largest size of the values after every ReLU of a network, and of what else its convolutions are fed.
 
     Args:
         path: ONNX file.
         batches: inputs of the network, (B, C, H, W) float32, of any size, as many as are needed to meet what will come.
 
     Returns:
-        Name of the ReLU in the file -> its peak, larger than 0; ReLUs that never let anything through are left out.
+        Name of the node in the file -> its peak, larger than 0; ReLUs that never let anything through are left out.
     """
     core = open_core()
     model = read_network(core, path)
-    rectified, own_outputs = _rectified(model), len(model.outputs)
-    model.add_outputs([node.output(0) for node in rectified])
+    nodes, own_outputs = _activations(model), len(model.outputs)
+    model.add_outputs([node.output(0) for node in nodes])
     model.reshape([-1, model.inputs[0].partial_shape[1], -1, -1])
     network = core.compile_model(model, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
     outputs = network.outputs[own_outputs:]
-    peaks = np.zeros(len(rectified))
+    peaks = np.zeros(len(nodes))
     for batch in batches:
         result = network([np.ascontiguousarray(batch, np.float32)])
-        peaks = np.maximum(peaks, [result[output].max() for output in outputs])
-    return {node.get_friendly_name(): float(peak) for node, peak in zip(rectified, peaks, strict=True) if peak > 0}
+        peaks = np.maximum(peaks, [np.abs(result[output]).max() for output in outputs])
+    return {node.get_friendly_name(): float(peak) for node, peak in zip(nodes, peaks, strict=True) if peak > 0}
 
 
 def quantise(model: Any, peaks: Mapping[str, float]) -> None:
@@ -54,22 +56,24 @@ def quantise(model: Any, peaks: Mapping[str, float]) -> None:
         peaks: of `activation_peaks`; activations beyond their peak are clipped.
 
     Raises:
-        CheckpointError: `peaks` names a ReLU that the network does not have.
+        CheckpointError: `peaks` names a node that the network does not have.
     """
-    rectified = {node.get_friendly_name(): node for node in _rectified(model)}
-    unknown = sorted(set(peaks) - set(rectified))
+    nodes = {node.get_friendly_name(): node for node in _activations(model)}
+    unknown = sorted(set(peaks) - set(nodes))
     if unknown:
         raise CheckpointError(f"card: int8 names '{unknown[0]}', which the network does not have")
     rounded = set()
     for name, peak in peaks.items():
-        node = rectified[name]
+        node = nodes[name]
         targets = list(node.output(0).get_target_inputs())
-        rounding = _rounding(node.output(0), np.float32(0), np.float32(peak), ACTIVATION_LEVELS)
+        one_sided = node.get_type_name() in RECTIFIERS
+        low, levels = (0.0, ACTIVATION_LEVELS) if one_sided else (-peak, ACTIVATION_LEVELS - 1)
+        rounding = _rounding(node.output(0), np.float32(low), np.float32(peak), levels)
         for target in targets:
             target.replace_source_output(rounding.output(0))
         rounded.add(rounding.get_friendly_name())
     for node in model.get_ordered_ops():
-        if node.get_type_name() != "Convolution":
+        if node.get_type_name() not in CONVOLUTIONS:
             continue
         if node.input_value(0).get_node().get_friendly_name() not in rounded:
             continue
@@ -79,15 +83,29 @@ def quantise(model: Any, peaks: Mapping[str, float]) -> None:
 
 
 def kernel_peaks(kernel: np.ndarray) -> np.ndarray:
-    """The largest size of a weight of every output channel, (O, 1, 1, 1) float32, of (O, I, H, W); never 0."""
-    peaks = np.abs(kernel).max(axis=(1, 2, 3), keepdims=True)
+    """The largest size of a weight of every output channel, never 0.
+
+    Args:
+        kernel: (O, I, H, W) float32, or of a grouped convolution (G, O, I, H, W).
+
+    Returns:
+        (O, 1, 1, 1) or (G, O, 1, 1, 1) float32.
+    """
+    peaks = np.abs(kernel).max(axis=(-3, -2, -1), keepdims=True)
     return np.maximum(peaks, WEIGHT_LEVELS * np.finfo(np.float32).tiny)  # a step of it is a normal number too
 
 
-def _rectified(model: Any) -> list[Any]:
-    """The ReLUs that something depends on, in the order of execution."""
-    nodes = (node for node in model.get_ordered_ops() if node.get_type_name() == "Relu")
-    return [node for node in nodes if node.output(0).get_target_inputs()]
+def _activations(model: Any) -> list[Any]:
+    """The ReLUs that something depends on and all else that convolutions are fed but for the network's input, in the
+    order of execution."""
+    ordered = list(model.get_ordered_ops())
+    feeding = {n.input_value(0).get_node().get_friendly_name() for n in ordered if n.get_type_name() in CONVOLUTIONS}
+    return [
+        node
+        for node in ordered
+        if (node.get_type_name() in RECTIFIERS and node.output(0).get_target_inputs())
+        or (node.get_friendly_name() in feeding and node.get_type_name() != "Parameter")
+    ]
 
 
 def _rounding(source: Any, low: Any, high: Any, levels: int) -> Any:

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+CONVOLUTIONS = ("Convolution", "GroupConvolution")
+
 
 def open_core() -> Any:
     """A new `openvino.Core`, its CPU plugin loaded.
@@ -39,14 +41,17 @@ def read_network(core: Any, path: Path) -> Any:
 
     model = core.read_model(path)
     for node in model.get_ordered_ops():
-        if node.get_type_name() == "Convolution" and (kernel := node.input_value(1)).get_node().get_input_size():
+        if node.get_type_name() not in CONVOLUTIONS:
+            continue
+        kernel = node.input_value(1)
+        if kernel.get_node().get_input_size():
             node.input(1).replace_source_output(opset.constant(constant_values(kernel)).output(0))
     return model
 
 
 def constant_values(source: Any) -> np.ndarray:
     """Values of a weight as float32, stored as such, as float16 to be converted, or as bytes to be converted and
-    scaled.
+    scaled; of grouped convolutions, in the shape that they want.
 
     Args:
         source: an output of a node.
@@ -55,4 +60,6 @@ def constant_values(source: Any) -> np.ndarray:
     kind = node.get_type_name()
     if kind == "Multiply":
         return constant_values(node.input_value(0)) * constant_values(node.input_value(1))
+    if kind == "Reshape":
+        return constant_values(node.input_value(0)).reshape(tuple(node.output(0).shape))
     return constant_values(node.input_value(0)) if kind == "Convert" else np.asarray(node.data, np.float32)

@@ -31,7 +31,8 @@ class FrozenConvBn(nn.Sequential):
         assert norm.running_mean is not None and norm.running_var is not None
         scale = norm.weight * (norm.running_var + norm.eps).rsqrt()
         kernel, bias = convolution.weight * scale[:, None, None, None], norm.bias - norm.running_mean * scale
-        x = functional.conv2d(x, kernel, bias, convolution.stride, cast(tuple[int, int], convolution.padding))
+        padding = cast(tuple[int, int], convolution.padding)
+        x = functional.conv2d(x, kernel, bias, convolution.stride, padding, groups=convolution.groups)
         for layer in list(self)[2:]:
             x = layer(x)
         return x

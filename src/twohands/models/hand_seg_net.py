@@ -3,28 +3,31 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 from torch import Tensor, nn
 from torch.nn import functional
 
 from twohands.errors import InputError
 from twohands.models.blocks import Bottleneck, DeconvBottleneck, calm_output, conv_bn_relu, initialise, scaled
+from twohands.models.efficientnet import PretrainedEncoderDecoder
 from twohands.models.encoder_decoder import EncoderDecoder
 
 DOWN_PLANES = (64, 128, 256, 512)
 UP_PLANES = (256, 128, 64, 32)
 MAPS = 5
 """3 classes and 2 energies."""
+HandSegNetVariant = Literal["auto-encoder", "encoder-decoder", "efficientnet-lite0"]
 
 
 @dataclass(frozen=True)
 class HandSegNetConfig:
     """Shape of HandSegNet."""
 
-    variant: Literal["auto-encoder", "encoder-decoder"] = "auto-encoder"
-    """auto-encoder: bottleneck blocks, no skips (the paper's); encoder-decoder: slim residual U-shape (ours), see
-    `models.encoder_decoder`."""
+    variant: HandSegNetVariant = "auto-encoder"
+    """auto-encoder: bottleneck blocks, no skips (the paper's); encoder-decoder: slim residual U-shape, see
+    `models.encoder_decoder`; efficientnet-lite0: U-shape on an encoder that knows photographs (ours), see
+    `models.efficientnet`."""
     height: int = 288
     """Rows of the input, a multiple of 32."""
     width_px: int = 512
@@ -33,8 +36,10 @@ class HandSegNetConfig:
     """Multiplier of all channel numbers; 1 is the paper's size."""
 
     def __post_init__(self) -> None:
-        if self.variant not in ("auto-encoder", "encoder-decoder"):
-            raise InputError(f"hand_seg_net: unknown variant {self.variant!r}; auto-encoder or encoder-decoder")
+        if self.variant not in get_args(HandSegNetVariant):
+            raise InputError(
+                f"hand_seg_net: unknown variant {self.variant!r}; one of {', '.join(get_args(HandSegNetVariant))}"
+            )
         for name in ("height", "width_px"):
             if getattr(self, name) <= 0 or getattr(self, name) % 32:
                 raise InputError(f"hand_seg_net: {name} must be a positive multiple of 32, got {getattr(self, name)}")
@@ -89,8 +94,12 @@ class HandSegNet(nn.Module):
     def __init__(self, config: HandSegNetConfig) -> None:
         super().__init__()
         self.config = config
-        slim = config.variant == "encoder-decoder"
-        self.net = EncoderDecoder(MAPS, config.width, finest=2) if slim else AutoEncoder(MAPS, config.width)
+        if config.variant == "auto-encoder":
+            self.net: nn.Module = AutoEncoder(MAPS, config.width)
+        elif config.variant == "encoder-decoder":
+            self.net = EncoderDecoder(MAPS, config.width, finest=2)
+        else:
+            self.net = PretrainedEncoderDecoder(MAPS, config.width)
         initialise(self)
         for layer in self.modules():
             if isinstance(layer, nn.Conv2d) and layer.out_channels == MAPS:
@@ -109,5 +118,6 @@ class HandSegNet(nn.Module):
         maps = self.net(x)
         if maps.shape[-2:] != x.shape[-2:]:
             # A factor, not a size: exported, the network still takes pictures of any size.
-            maps = functional.interpolate(maps, scale_factor=2.0, mode="bilinear", align_corners=False)
+            factor = float(x.shape[-1] // maps.shape[-1])
+            maps = functional.interpolate(maps, scale_factor=factor, mode="bilinear", align_corners=False)
         return maps[:, :3], maps[:, 3:]

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import torch
 from torch import Tensor, nn
 
 from twohands.errors import InputError
 from twohands.models.blocks import calm_output, conv_bn_relu, initialise, scaled
+from twohands.models.efficientnet import PretrainedEncoderDecoder
 from twohands.models.encoder_decoder import EncoderDecoder
 from twohands.skeleton import N_JOINTS
 
@@ -19,13 +20,19 @@ CROP_STEP = 32
 """Crops have a multiple of so many rows and columns: the encoder-decoder halves them five times."""
 
 
+PoseNet2DVariant = Literal["cpm9", "vgg", "encoder-decoder", "efficientnet-lite0"]
+U_SHAPES = ("encoder-decoder", "efficientnet-lite0")
+"""Variants that see the whole crop at their bottom: one stage, maps at stride 4, and room for judge and cues."""
+
+
 @dataclass(frozen=True)
 class PoseNet2DConfig:
     """Shape of PoseNet2D."""
 
-    variant: Literal["cpm9", "vgg", "encoder-decoder"] = "cpm9"
+    variant: PoseNet2DVariant = "cpm9"
     """cpm9: convolutional pose machine with 9x9 convolutions (the paper's); vgg: pose machine on 3x3 convolutions;
-    encoder-decoder: slim residual U-shape (ours), see `models.encoder_decoder`."""
+    encoder-decoder: slim residual U-shape (ours), see `models.encoder_decoder`; efficientnet-lite0: U-shape on an
+    encoder that knows photographs (ours), see `models.efficientnet`."""
     crop_size: int = 256
     """Rows and columns of the input crop, a multiple of `CROP_STEP`; the paper's is 256."""
     stages: int = 6
@@ -39,30 +46,32 @@ class PoseNet2DConfig:
     sigma: float = 2.0
     """Standard deviation of the target Gaussian at the root's depth, in cells."""
     judge: bool = False
-    """Also say whether the crop shows a hand of the side it was cut for (ours, encoder-decoder only)."""
+    """Also say whether the crop shows a hand of the side it was cut for (ours, U-shapes only)."""
     cues: int = 0
-    """Further maps, for PoseNet3D alone, that no label prescribes (ours, encoder-decoder only)."""
+    """Further maps, for PoseNet3D alone, that no label prescribes (ours, U-shapes only)."""
 
     def __post_init__(self) -> None:
-        if self.variant not in ("cpm9", "vgg", "encoder-decoder"):
-            raise InputError(f"pose_net_2d: unknown variant {self.variant!r}; cpm9, vgg or encoder-decoder")
+        if self.variant not in get_args(PoseNet2DVariant):
+            raise InputError(
+                f"pose_net_2d: unknown variant {self.variant!r}; one of {', '.join(get_args(PoseNet2DVariant))}"
+            )
         if self.activation not in ("linear", "softmax"):
             raise InputError(f"pose_net_2d: unknown activation {self.activation!r}; linear or softmax")
         if self.crop_size < CROP_STEP or self.crop_size % CROP_STEP:
             raise InputError(f"pose_net_2d: crop_size must be a positive multiple of {CROP_STEP}, got {self.crop_size}")
-        if self.stages < 1 or (self.variant == "encoder-decoder" and self.stages != 1):
+        if self.stages < 1 or (self.variant in U_SHAPES and self.stages != 1):
             raise InputError(f"pose_net_2d: {self.variant} cannot have {self.stages} stages")
-        if self.judge and self.variant != "encoder-decoder":
+        if self.judge and self.variant not in U_SHAPES:
             raise InputError(f"pose_net_2d: {self.variant} cannot judge its crops")
-        if self.cues < 0 or (self.cues and self.variant != "encoder-decoder"):
+        if self.cues < 0 or (self.cues and self.variant not in U_SHAPES):
             raise InputError(f"pose_net_2d: {self.variant} cannot give {self.cues} cues")
         if not (self.width > 0 and self.sigma > 0):
             raise InputError(f"pose_net_2d: width and sigma must be positive, got {self.width} and {self.sigma}")
 
     @property
     def map_size(self) -> int:
-        """Rows and columns of the maps: one cell for 8 pixels of the crop, for 4 of the encoder-decoder's."""
-        return self.crop_size // (4 if self.variant == "encoder-decoder" else 8)
+        """Rows and columns of the maps: one cell for 8 pixels of the crop, for 4 of a U-shape's."""
+        return self.crop_size // (4 if self.variant in U_SHAPES else 8)
 
 
 class PoseMachine(nn.Module):
@@ -141,10 +150,16 @@ class PoseNet2D(nn.Module):
     def __init__(self, config: PoseNet2DConfig) -> None:
         super().__init__()
         self.config = config
-        slim = config.variant == "encoder-decoder"
-        self.net = EncoderDecoder(N_JOINTS + config.cues, config.width) if slim else PoseMachine(config)
+        maps = N_JOINTS + config.cues
+        self.net: EncoderDecoder | PretrainedEncoderDecoder | PoseMachine
+        if config.variant == "encoder-decoder":
+            self.net = EncoderDecoder(maps, config.width)
+        elif config.variant == "efficientnet-lite0":
+            self.net = PretrainedEncoderDecoder(maps, config.width)
+        else:
+            self.net = PoseMachine(config)
         self.judge = None
-        if isinstance(self.net, EncoderDecoder) and config.judge:
+        if not isinstance(self.net, PoseMachine) and config.judge:
             self.judge = nn.Sequential(nn.Linear(self.net.bottom_channels, 64), nn.ReLU(), nn.Linear(64, 1))
         initialise(self)
         for layer in self.modules():
@@ -175,7 +190,7 @@ class PoseNet2D(nn.Module):
             Maps; and (B, 1) log-odds that the crop shows a hand of the side that it was cut for (a left-like one), None
             for a network that does not judge.
         """
-        if not isinstance(self.net, EncoderDecoder):
+        if isinstance(self.net, PoseMachine):
             return self.net(x if rows is None else x[rows]), None
         encoded = self.net.encode(x)
         hand_logit = None if self.judge is None else self.judge(encoded[-1].mean(dim=(2, 3)))

@@ -55,7 +55,7 @@ PAPER = NetworkConfigs()
 """The paper's networks (SPEC 2, 3, 4)."""
 
 SLIM = NetworkConfigs(
-    HandSegNetConfig("encoder-decoder", height=224, width_px=384),
+    HandSegNetConfig("efficientnet-lite0", height=192, width_px=352),
     PoseNet2DConfig(
         "encoder-decoder", crop_size=128, stages=1, width=1.25, activation="softmax", sigma=1.5, judge=True, cues=8
     ),

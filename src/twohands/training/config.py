@@ -163,16 +163,22 @@ class OptimConfig:
     """Decay per iteration of the averaged weights that are validated and exported; 0 takes the last weights."""
     along_rate: float = 0.0
     """Stage pose_net_3d: learning rate of PoseNet2D relative to PoseNet3D's; 0 freezes it."""
+    encoder_rate: float = 0.2
+    """Learning rate of an encoder that others have trained, relative to the run's."""
+    frozen_levels: int = 0
+    """So many of its levels, from the finest on, keep their weights; of 5."""
     frozen_norm: bool = False
     """Batch normalisations keep the statistics of the weights that the run starts from: steps take a fifth less."""
 
     def __post_init__(self) -> None:
         _check_choices(self)
-        for name in ("learning_rate", "weight_decay", "clip", "along_rate"):
+        for name in ("learning_rate", "weight_decay", "clip", "along_rate", "encoder_rate"):
             if not getattr(self, name) >= 0:
                 raise InputError(f"{name} must not be negative, got {getattr(self, name)}")
         if not 0 <= self.ema < 1:
             raise InputError(f"ema must lie in [0, 1), got {self.ema}")
+        if not 0 <= self.frozen_levels <= 5:
+            raise InputError(f"frozen_levels must lie in 0..5, got {self.frozen_levels}")
         if self.halve_every < 1:
             raise InputError(f"halve_every must be at least 1, got {self.halve_every}")
 
@@ -196,6 +202,9 @@ class TrainConfig:
     """Stage pose_net_3d: half of the hands see ideal heatmaps during the first so many iterations (SPEC 9)."""
     seed: int = 0
     """Seed of the initial weights, the order of the pictures and all random changes."""
+    pretrained: bool = True
+    """Encoders that others have trained on photographs start from their weights, where the network has one and the run
+    is given no weights of its own; their batch normalisations keep their statistics."""
     precision: Literal["32-true", "bf16-mixed"] = "32-true"
     """Arithmetic. bf16-mixed is 1.8 times faster on CPUs with AVX512-BF16, even without AMX."""
     threads: int = 0
@@ -349,7 +358,16 @@ def recipe(name: RecipeName, stage: StageName) -> TrainConfig:
         ),
         augment=AugmentConfig(
             photometric=PhotometricConfig(
-                brightness=0.06, contrast=0.15, gamma=0.3, hue=0.02, saturation=0.2, blur=0.4, noise=0.02, texture=0.03
+                brightness=0.06,
+                contrast=0.15,
+                gamma=0.3,
+                hue=0.02,
+                saturation=0.2,
+                blur=0.4,
+                motion=0.0 if pose else 6.0,
+                coarse=0.0 if pose else 1.3,
+                noise=0.02,
+                texture=0.03,
             ),
             masks=MaskConfig(coarse=0.5, border=0.03, holes=0.15, spill=0.2, confusion=0.15, no_arm=0.15),
             predicted=0.5,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -23,13 +24,14 @@ from twohands.geometry.heatmaps import (
 )
 from twohands.models.blocks import freeze_batch_norm
 from twohands.models.checkpoint import load_network, network_name
+from twohands.models.efficientnet import LEVELS, encoder_of, load_published
 from twohands.models.hand_seg_net import HandSegNet, HandSegNetConfig
 from twohands.models.pose_net_2d import PoseNet2D, PoseNet2DConfig
 from twohands.models.pose_net_3d import PoseNet3D, PoseNet3DConfig
 from twohands.skeleton import N_JOINTS, ROOT
 from twohands.training import losses
 from twohands.training.batches import Batch
-from twohands.training.config import TrainConfig
+from twohands.training.config import OptimConfig, TrainConfig
 from twohands.training.parallel import mean_over_processes
 
 Losses = dict[str, Tensor]
@@ -40,6 +42,31 @@ CUELESS = 0.1
 def normalised(image: Tensor) -> Tensor:
     """(B, H, W, 3) uint8 -> (B, 3, H, W) float32, (x - 128) / 256; the memory layout stays channels-last."""
     return (image.permute(0, 3, 1, 2).float() - 128) / 256
+
+
+@dataclass(frozen=True)
+class ParameterGroup:
+    """Parameters that learn alike.
+
+    Attributes:
+        parameters: of one network.
+        share: their learning rate relative to the run's.
+        pretrained: whether others have trained them, so that they move gently: AdamW instead of Muon.
+    """
+
+    parameters: list[nn.Parameter]
+    share: float
+    pretrained: bool = False
+
+
+def network_groups(network: nn.Module, share: float, config: OptimConfig) -> list[ParameterGroup]:
+    """What learns of one network; an encoder that others have trained is a group of its own."""
+    encoder = encoder_of(network)
+    theirs = [] if encoder is None else [p for p in encoder.parameters() if p.requires_grad]
+    known = {id(p) for p in theirs}
+    own = [p for p in network.parameters() if p.requires_grad and id(p) not in known]
+    groups = [ParameterGroup(own, share), ParameterGroup(theirs, share * config.encoder_rate, pretrained=True)]
+    return [group for group in groups if group.parameters]
 
 
 class Stage(nn.Module):
@@ -59,9 +86,9 @@ class Stage(nn.Module):
         """The trained networks by name, as they are saved."""
         raise NotImplementedError
 
-    def parameter_groups(self) -> list[tuple[list[nn.Parameter], float]]:
-        """Parameters with their learning rate relative to the run's."""
-        return [([p for p in self.parameters() if p.requires_grad], 1.0)]
+    def parameter_groups(self) -> list[ParameterGroup]:
+        """The parameters that learn."""
+        return [group for net in self.networks().values() for group in network_groups(net, 1.0, self.config.optim)]
 
 
 class SegmentationStage(Stage):
@@ -323,11 +350,10 @@ class Pose3DStage(Stage):
         both: dict[str, nn.Module] = {"pose_net_3d": self.net_3d}
         return {"pose_net_2d": self.net_2d, **both} if self.along else both
 
-    def parameter_groups(self) -> list[tuple[list[nn.Parameter], float]]:
-        groups = [(list(self.net_3d.parameters()), 1.0)]
-        if self.along:
-            groups.append((list(self.net_2d.parameters()), self.config.optim.along_rate))
-        return groups
+    def parameter_groups(self) -> list[ParameterGroup]:
+        optim = self.config.optim
+        along = network_groups(self.net_2d, optim.along_rate, optim) if self.along else []
+        return network_groups(self.net_3d, 1.0, optim) + along
 
 
 def build_stage(config: TrainConfig, weights: Sequence[Path] = (), *, require_weights: bool = True) -> Stage:
@@ -357,6 +383,8 @@ def build_stage(config: TrainConfig, weights: Sequence[Path] = (), *, require_we
     filled: set[str] = set()
     for path in weights:
         filled.add(_fill(known, path))
+    for name, network in known.items():
+        prepare_encoder(network, config, fresh=require_weights and name not in filled)
     if require_weights and config.stage == "pose_net_3d" and "pose_net_2d" not in filled:
         raise InputError("stage pose_net_3d needs the weights of a trained pose_net_2d (--weights FILE)")
     if config.optim.frozen_norm:
@@ -364,6 +392,29 @@ def build_stage(config: TrainConfig, weights: Sequence[Path] = (), *, require_we
             raise InputError(f"frozen_norm: {fresh.pop()} has no statistics to keep; give its weights (--weights FILE)")
         freeze_batch_norm(stage)
     return stage
+
+
+def prepare_encoder(network: nn.Module, config: TrainConfig, *, fresh: bool) -> None:
+    """Make an encoder that others have trained ready to learn, in place; nothing where a network has none.
+
+    Args:
+        network: of the run.
+        config: the run.
+        fresh: whether its weights are random so far: then they are replaced by the published ones.
+
+    Raises:
+        MissingExtraError: the published weights are not installed.
+    """
+    encoder = encoder_of(network)
+    if encoder is None or not config.pretrained:
+        return
+    if fresh:
+        load_published(encoder)
+    freeze_batch_norm(encoder)
+    frozen = config.optim.frozen_levels
+    last = LEVELS[frozen - 1] if frozen else -1
+    for part in (encoder.stem, *encoder.stages[: last + 1]) if frozen else ():
+        part.requires_grad_(False)
 
 
 def _fill(known: Mapping[str, nn.Module], path: Path) -> str:

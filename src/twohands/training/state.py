@@ -23,14 +23,15 @@ def build_optimizer(stage: Stage, config: OptimConfig) -> torch.optim.Optimizer:
     """The optimizer of a run; each group keeps its relative learning rate under the key "share".
 
     AdamW and Muon spare vectors (biases, batch normalisation) from weight decay; Adam, as in the paper, does not. Muon
-    moves the hidden layers (`muon.is_hidden`).
+    moves the hidden layers (`muon.is_hidden`), but not those that others have trained.
     """
     groups: list[dict[str, Any]] = []
-    for parameters, share in stage.parameter_groups():
+    for group in stage.parameter_groups():
+        parameters, share = group.parameters, group.share
         if config.optimizer in ("adamw", "muon"):
             wide = [p for p in parameters if p.ndim > 1]
             flat = [p for p in parameters if p.ndim <= 1]
-            if config.optimizer == "muon":
+            if config.optimizer == "muon" and not group.pretrained:
                 hidden, wide = [p for p in wide if is_hidden(p)], [p for p in wide if not is_hidden(p)]
                 groups.append({"params": hidden, "share": share, "weight_decay": config.weight_decay, "muon": True})
             groups.append({"params": wide, "share": share, "weight_decay": config.weight_decay})

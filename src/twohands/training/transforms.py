@@ -26,6 +26,10 @@ class PhotometricConfig:
     """Largest relative change of saturation."""
     blur: float = 0.0
     """Largest Gaussian blur, standard deviation in pixels of the network's input."""
+    motion: float = 0.0
+    """Longest streak of motion blur, in pixels of the network's input."""
+    coarse: float = 0.0
+    """Largest log2 of the factor by which a picture is shrunk and enlarged again, as by a webcam far away."""
     noise: float = 0.0
     """Largest standard deviation of sensor noise, as a fraction of 255."""
     texture: float = 0.0
@@ -95,6 +99,13 @@ def jitter_colours(image: np.ndarray, config: PhotometricConfig, rng: np.random.
         out = cv2.multiply(out, cv2.merge([1 + field] * 3), dtype=cv2.CV_8U)  # saturates
     if config.blur and rng.random() < 0.5:
         out = cv2.GaussianBlur(out, (0, 0), rng.uniform(0.2, 0.2 + config.blur))
+    if config.motion and rng.random() < 0.3:
+        out = cv2.filter2D(out, -1, _streak(rng.uniform(1, 1 + config.motion), rng.uniform(0, np.pi)))
+    if config.coarse and rng.random() < 0.3:
+        height, width = out.shape[:2]
+        factor = 2.0 ** rng.uniform(0, config.coarse)
+        small = cv2.resize(out, (round(width / factor), round(height / factor)), interpolation=cv2.INTER_AREA)
+        out = cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR)
     if config.noise and rng.random() < 0.5:
         sigma = rng.uniform(0, config.noise) * 255
         noise = rng.standard_normal(out.shape, dtype=np.float32) * np.float32(sigma)
@@ -157,6 +168,16 @@ def nearest_cells(count: int, of: int) -> np.ndarray:
     cv2.INTER_NEAREST takes the cell's corner instead, which moves labels right and down.
     """
     return ((np.arange(count) + 0.5) * of / count).astype(int)
+
+
+def _streak(length: float, angle: float) -> np.ndarray:
+    """(n, n) float32 kernel of an even move by `length` pixels in the direction `angle` (radians), centred; sum 1."""
+    size = 2 * int(np.ceil(length / 2)) + 1
+    kernel = np.zeros((size, size), np.float32)
+    along = np.linspace(-0.5, 0.5, 4 * size) * length
+    cells = np.rint(size // 2 + along[:, None] * [np.sin(angle), np.cos(angle)]).astype(int)
+    np.add.at(kernel, (cells[:, 0], cells[:, 1]), 1)
+    return kernel / kernel.sum()
 
 
 def _noise_field(shape: tuple[int, int], rng: np.random.Generator) -> np.ndarray:

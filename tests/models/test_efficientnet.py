@@ -1,0 +1,124 @@
+"""The published encoder: its shape, its weights under our normalisation, and how it learns."""
+
+import dataclasses
+
+import pytest
+import torch
+from torch import nn
+from torch.nn import functional
+
+from twohands.errors import InputError
+from twohands.models.blocks import freeze_batch_norm
+from twohands.models.efficientnet import EfficientNetLite0, encoder_of, load_published, published_weights
+from twohands.models.hand_seg_net import HandSegNet, HandSegNetConfig
+from twohands.models.pose_net_2d import PoseNet2D, PoseNet2DConfig
+from twohands.models.presets import SLIM
+from twohands.training.config import recipe, with_override
+from twohands.training.stages import build_stage
+from twohands.training.state import build_optimizer
+
+SMALL = HandSegNetConfig("efficientnet-lite0", height=64, width_px=96)
+
+
+@pytest.fixture(scope="module")
+def published():
+    encoder = EfficientNetLite0()
+    load_published(encoder)
+    return encoder.eval()
+
+
+def stage_of(*settings):
+    config = recipe("ours", "hand_seg_net")
+    config = dataclasses.replace(config, networks=dataclasses.replace(SLIM, hand_seg_net=SMALL))
+    return build_stage(with_override(config, *settings))
+
+
+def test_levels_halve_the_picture_and_have_the_published_channels(published):
+    encoded = published(torch.zeros(2, 3, 64, 96))
+    assert [tuple(level.shape) for level in encoded] == [
+        (2, 16, 32, 48),
+        (2, 24, 16, 24),
+        (2, 40, 8, 12),
+        (2, 112, 4, 6),
+        (2, 320, 2, 3),
+    ]
+
+
+def test_our_normalisation_is_the_published_one_to_its_first_layer(published):
+    """Grey values x as (x - 128) / 256 to our stem are what (x - 127) / 128 are to the published one."""
+    given = torch.load(published_weights(), weights_only=True)
+    picture = torch.randint(0, 256, (1, 3, 16, 16), generator=torch.Generator().manual_seed(0)).float()
+    theirs = functional.conv2d((picture - 127) / 128, given["_conv_stem.weight"], stride=2, padding=1)
+    names = ("running_mean", "running_var", "weight", "bias")
+    theirs = functional.batch_norm(theirs, *(given[f"_bn0.{name}"] for name in names), eps=1e-3).clamp(0, 6)
+    ours = published.stem((picture - 128) / 256)
+    # At the border zeros are padded, which are not the same grey value.
+    torch.testing.assert_close(ours[..., 1:, 1:], theirs[..., 1:, 1:], atol=1e-4, rtol=1e-4)
+
+
+def test_both_networks_can_stand_on_it_and_judge():
+    config = PoseNet2DConfig("efficientnet-lite0", 64, stages=1, activation="softmax", judge=True, cues=8)
+    net = PoseNet2D(config).eval()
+    maps, hand_logit = net.judged(torch.zeros(2, 3, 64, 64))
+    assert maps[0].shape == (2, 29, 16, 16) and hand_logit is not None and hand_logit.shape == (2, 1)
+    segmentation, energy = HandSegNet(SMALL).eval()(torch.zeros(1, 3, 64, 96))
+    assert segmentation.shape == (1, 3, 64, 96) and energy.shape == (1, 2, 64, 96)
+
+
+def test_frozen_statistics_give_what_evaluation_gives_grouped_convolutions_too(published):
+    frozen = EfficientNetLite0()
+    frozen.load_state_dict(published.state_dict())
+    freeze_batch_norm(frozen)
+    picture = torch.rand(1, 3, 32, 32, generator=torch.Generator().manual_seed(1)) - 0.5
+    for ours, theirs in zip(frozen.train()(picture), published(picture), strict=True):
+        torch.testing.assert_close(ours, theirs, atol=1e-4, rtol=1e-4)
+
+
+def test_a_run_starts_from_the_published_weights_unless_told_otherwise(published):
+    for settings, same in (((), True), (("pretrained=false",), False)):
+        encoder = encoder_of(stage_of(*settings).net)
+        assert encoder is not None
+        name = "stages.3.0.expand.0.weight"
+        assert torch.equal(encoder.state_dict()[name], published.state_dict()[name]) is same
+
+
+def one_step(stage):
+    optimizer = build_optimizer(stage, stage.config.optim)
+    for group in optimizer.param_groups:
+        group["lr"] = 1e-3 * group["share"]
+    stage.train()
+    segmentation, energy = stage.net(torch.rand(2, 3, 64, 96) - 0.5)
+    (segmentation.square().mean() + energy.square().mean()).backward()
+    optimizer.step()
+
+
+def test_frozen_levels_stay_and_statistics_of_all_stay():
+    stage = stage_of("optim.frozen_levels=2")
+    before = {name: value.clone() for name, value in stage.net.state_dict().items()}
+    one_step(stage)
+    after = stage.net.state_dict()
+    moved = {name for name, value in after.items() if not torch.equal(value, before[name])}
+    encoder = {name.removeprefix("net.encoder.") for name in moved if name.startswith("net.encoder.")}
+    assert encoder and not any("running" in name for name in encoder)
+    assert not any(name.startswith(("stem.", "stages.0.", "stages.1.")) for name in encoder)
+    assert any(name.startswith("stages.2.") for name in encoder)
+
+
+def test_the_encoder_is_a_group_of_its_own_with_its_own_rate():
+    stage = stage_of("optim.encoder_rate=0.25")
+    own, theirs = stage.parameter_groups()
+    assert (own.share, own.pretrained, theirs.share, theirs.pretrained) == (1.0, False, 0.25, True)
+    optimizer = build_optimizer(stage, stage.config.optim)
+    named = {id(p) for p in theirs.parameters}
+    assert {id(p) for g in optimizer.param_groups for p in g["params"]} == {id(p) for p in stage.net.parameters()}
+    for group in optimizer.param_groups:
+        assert not (group.get("muon") and any(id(p) in named for p in group["params"]))
+
+
+def test_a_network_without_such_an_encoder_has_none():
+    assert encoder_of(nn.Identity()) is None and encoder_of(HandSegNet(HandSegNetConfig(width=0.1))) is None
+
+
+def test_levels_to_freeze_are_checked():
+    with pytest.raises(InputError, match=r"frozen_levels must lie in 0..5, got 6"):
+        with_override(recipe("ours", "hand_seg_net"), "optim.frozen_levels=6")
