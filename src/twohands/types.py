@@ -106,6 +106,8 @@ class RenderedFrame:
         camera: the camera it was rendered with.
         amodal: (2, H, W) bool, the pixels that each arm would cover, with what it wears, if all else were away; None
             where nobody asked for them.
+        turns: of pictures of whole people, by how many quarter turns (counter-clockwise, 0..3) the room stands turned
+            in the picture, as the camera lay on its side or hung head down; None of others.
 
     Alpha also covers things that are no part of a hand and have neither label nor depth; where there are none, a pixel
     has a label exactly where it has alpha.
@@ -119,6 +121,7 @@ class RenderedFrame:
     present: np.ndarray
     camera: PinholeCamera
     amodal: np.ndarray | None = None
+    turns: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

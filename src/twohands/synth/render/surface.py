@@ -89,6 +89,8 @@ def posed_things(scene: SceneSpec) -> ThingMesh | None:
 
 def _painted(thing: Thing) -> np.ndarray:
     """(V, 3) albedo of a thing's vertices, stripes included."""
+    if thing.colours is not None:
+        return thing.colours
     striped = (thing.stripes * thing.pattern_at % 1.0 < 0.5) & (thing.stripes > 0)
     return np.where(striped[:, None], thing.second, thing.albedo)
 

@@ -121,12 +121,13 @@ def hand_enters_itself(body: Body, joints: np.ndarray) -> np.ndarray:
     return (gap < _SELF_SHARES * _sized_radii(body)[_SELF_PAIRS].sum(-1)).any(-1)
 
 
-def hands_collide(body: Body, joints: np.ndarray) -> np.ndarray:
+def hands_collide(body: Body, joints: np.ndarray, touch: float | np.ndarray = HANDS_TOUCH) -> np.ndarray:
     """(...) bool, whether a hand or forearm enters the other.
 
     Args:
         body: the person.
         joints: (..., 2, 22, 3) posed joints in the body's metres.
+        touch: they do where nearer than this share of their radii's sum; of all pairs, or (20, 20) of each.
     """
     radii = _sized_radii(body)
     low, high = joints.min(-2), joints.max(-2)  # (..., 2, 3)
@@ -134,5 +135,5 @@ def hands_collide(body: Body, joints: np.ndarray) -> np.ndarray:
     collide = np.asarray(apart < 2 * radii.max())  # whose boxes are farther apart need no closer look
     starts, ends = joints[collide][:, :, _SEGMENTS[:, 0]], joints[collide][:, :, _SEGMENTS[:, 1]]  # (M, 2, 20, 3)
     gap = segment_distance(starts[:, 0, :, None], ends[:, 0, :, None], starts[:, 1, None], ends[:, 1, None])
-    collide[collide] = (gap < HANDS_TOUCH * (radii[:, None] + radii)).any((-2, -1))
+    collide[collide] = (gap < touch * (radii[:, None] + radii)).any((-2, -1))
     return collide[()]

@@ -10,7 +10,7 @@ from twohands.types import PinholeCamera
 
 SHARES = (
     *("together", "sleeves", "gloves", "objects", "watches", "rings"),
-    *("background_light", "sensor", "webcam", "free_view", "skin_detail", "gestures", "shown"),
+    *("background_light", "sensor", "webcam", "free_view", "skin_detail", "gestures", "shown", "people"),
 )
 """Settings of `SynthConfig` between 0 and 1."""
 SIDE_PX = (32, 16384)
@@ -69,6 +69,10 @@ class SynthConfig:
     """Share of pictures taken from in front of the person, as by a webcam; `roll` holds, `pitch` does not."""
     free_view: float = 0.0
     """Share of pictures taken from anywhere around the hands."""
+    people: float = 0.0
+    """Share of pictures of one to three whole, dressed people, as a webcam, a camera in the room, over the shoulder or
+    above the table sees them (static sets and frames); what is left is then seen from the head, and `webcam` and
+    `free_view` hold for dynamic sets alone."""
     together: float = 0.0
     """Share of two-hand pictures with the hands close to each other: crossing, touching, one hiding the other."""
     sleeves: float = 0.0
@@ -89,7 +93,7 @@ class SynthConfig:
     @property
     def amodal(self) -> bool:
         """Whether more than chance hides hands, so that it is worth writing what they would cover (`gt_amodal.png`)."""
-        return any((self.together, self.objects, self.webcam, self.free_view)) or self.pitch != (0.0, 0.0)
+        return any((self.together, self.objects, self.webcam, self.free_view, self.people)) or self.pitch != (0.0, 0.0)
 
     def __post_init__(self) -> None:
         if not all(SIDE_PX[0] <= side <= SIDE_PX[1] for side in (self.width, self.height)):
@@ -154,6 +158,7 @@ WILD = SynthConfig(
     camera_shift=0.06,
     webcam=0.15,
     free_view=0.05,
+    people=0.6,
     together=0.35,
     sleeves=0.5,
     gloves=0.06,

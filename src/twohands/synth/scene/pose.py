@@ -276,21 +276,40 @@ class ArmAnatomy:
         Returns:
             (...) bool, whether the target is within reach; those `rotations` that are not are unchanged.
         """
+        reached, to_wrist, direction = self._within_reach(wrist_target)
+        down = np.array([0.0, 1.0, 0.0])
+        lowest = unit(down - direction * dot(down, direction)[..., None])
+        outward = np.array([-1.0 if self.side == 0 else 1.0, 0.0, 0.0])
+        lateral = outward - direction * dot(outward, direction)[..., None] - lowest * dot(outward, lowest)[..., None]
+        aside = np.cos(swivel)[..., None] * lowest + np.sin(swivel)[..., None] * unit(lateral)
+        self._bend(rotations, reached, to_wrist, aside)
+        return reached
+
+    def reach_by(self, rotations: np.ndarray, wrist_target: np.ndarray, elbow: np.ndarray) -> np.ndarray:
+        """`reach` with the elbow on the side of the direction `elbow` (..., 3), seen from the line between shoulder and
+        wrist."""
+        reached, to_wrist, direction = self._within_reach(wrist_target)
+        aside = unit(elbow - direction * dot(elbow, direction)[..., None] + 1e-9)
+        self._bend(rotations, reached, to_wrist, aside)
+        return reached
+
+    def _within_reach(self, wrist_target: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(...) whether the target is within reach, (..., 3) the way there from the shoulder and its direction."""
         to_wrist = wrist_target - self.shoulder
         distance = np.sqrt(dot(to_wrist, to_wrist))
         low = abs(self.upper_length - self.lower_length) * 1.3
         reached = (low < distance) & (distance < self.max_reach)
         # Out of reach, solve for the wrist at rest instead and drop the result.
         to_wrist = np.where(reached[..., None], to_wrist, self.wrist - self.shoulder)
+        return reached, to_wrist, to_wrist / np.sqrt(dot(to_wrist, to_wrist))[..., None]
+
+    def _bend(self, rotations: np.ndarray, reached: np.ndarray, to_wrist: np.ndarray, aside: np.ndarray) -> None:
+        """Sets shoulder and elbow of the `rotations` that are within reach, the elbow towards the unit vectors `aside`
+        (..., 3) normal to `to_wrist` (..., 3)."""
         distance = np.sqrt(dot(to_wrist, to_wrist))
         direction = to_wrist / distance[..., None]
         along = (self.upper_length**2 - self.lower_length**2 + distance**2) / (2 * distance)
         radius = np.sqrt(np.maximum(self.upper_length**2 - along**2, 0.0))
-        down = np.array([0.0, 1.0, 0.0])
-        lowest = unit(down - direction * dot(down, direction)[..., None])
-        outward = np.array([-1.0 if self.side == 0 else 1.0, 0.0, 0.0])
-        lateral = outward - direction * dot(outward, direction)[..., None] - lowest * dot(outward, lowest)[..., None]
-        aside = np.cos(swivel)[..., None] * lowest + np.sin(swivel)[..., None] * unit(lateral)
         upper = direction * along[..., None] + radius[..., None] * aside
         lower = to_wrist - upper
         hinge = unit(cross(upper, lower))
@@ -300,4 +319,3 @@ class ArmAnatomy:
             (_ELBOW, rotation_about(self.hinge, flexion)),
         ):
             rotations[..., index, :, :] = np.where(reached[..., None, None], solved, rotations[..., index, :, :])
-        return reached

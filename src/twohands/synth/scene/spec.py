@@ -103,6 +103,21 @@ class Lighting:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ArmMotion:
+    """How an arm turns while the shutter is open, as rotation vectors (3,) in the camera frame, radians.
+
+    Attributes:
+        shoulder: (3,) place of the shoulder, camera frame, scaled metres.
+        swing: of the whole arm about the shoulder.
+        bend: of the forearm and hand about the elbow, besides.
+    """
+
+    shoulder: np.ndarray
+    swing: np.ndarray
+    bend: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class SceneSpec:
     """Everything a renderer needs for one picture.
 
@@ -121,6 +136,7 @@ class SceneSpec:
         things: what the hands hold and wear, in the frame between the eyes, before scaling.
         people: whole people, drawn instead of the arms alone; the first is the one that all else here is about, and
             whose arms have labels.
+        motion: of the left and right arm of the first of them; None for arms that are still.
     """
 
     camera: PinholeCamera
@@ -136,6 +152,7 @@ class SceneSpec:
     clothes: Clothes = BARE
     things: tuple[Thing, ...] = ()
     people: tuple[PersonSpec, ...] = ()
+    motion: tuple[ArmMotion | None, ArmMotion | None] = (None, None)
 
     @property
     def body(self) -> Body:

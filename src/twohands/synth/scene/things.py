@@ -46,6 +46,7 @@ class Thing:
         label: part that wears it, or NO_LABEL.
         core: ends (2, 3) of the axis and radius of a capsule that casts about the same shadow; None for what lies close
             to the skin, and for trunk and head, which arms grow out of.
+        colours: (V, 3) linear RGB albedo of the vertices instead of `albedo` and the pattern; None without.
     """
 
     vertices: np.ndarray
@@ -58,6 +59,7 @@ class Thing:
     roughness: float
     label: int
     core: tuple[np.ndarray, float] | None = None
+    colours: np.ndarray | None = None
 
     @property
     def side(self) -> int | None:
@@ -106,10 +108,10 @@ def superquadric(
     )
     normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
     place = np.broadcast_to(0.5 + 0.5 * power(up, round_along), (rows, columns))
-    return vertices.reshape(-1, 3), normals.reshape(-1, 3), _grid_faces(rows, columns), place.ravel()
+    return vertices.reshape(-1, 3), normals.reshape(-1, 3), grid_faces(rows, columns), place.ravel()
 
 
-def _grid_faces(rows: int, columns: int) -> np.ndarray:
+def grid_faces(rows: int, columns: int) -> np.ndarray:
     """(2 (rows - 1) columns, 3) int32 triangles of a grid that closes along its columns."""
     row, column = np.meshgrid(np.arange(rows - 1), np.arange(columns), indexing="ij")
     a, b = row * columns + column, row * columns + (column + 1) % columns
@@ -179,7 +181,7 @@ def band(
         vertices.append(origin + axis * along * width + direction * (outline + out * thickness)[:, None])
         normals.append(direction * np.sqrt(1 - tilt**2) + axis * tilt)
     place = np.tile(np.arange(columns) / columns, len(profile))
-    return np.concatenate(vertices), np.concatenate(normals), _grid_faces(len(profile), columns), place
+    return np.concatenate(vertices), np.concatenate(normals), grid_faces(len(profile), columns), place
 
 
 def sample_things(
@@ -339,12 +341,32 @@ def _ring(body: Body, transforms: np.ndarray, joints: np.ndarray, side: int, rng
     return _thing(ring, metal, metal, 0.0, rng.uniform(0.12, 0.3), part_label(side, 2 + finger))
 
 
-def _held(body: Body, joints: np.ndarray, present: np.ndarray, side: int, rng: np.random.Generator) -> Thing | None:
-    """The thickest solid, of a random kind, that fits between palm and fingers; None where nothing is grasped."""
+def grasped(
+    body: Body,
+    joints: np.ndarray,
+    present: np.ndarray,
+    side: int,
+    rng: np.random.Generator,
+    half_lengths: tuple[float, float] = (0.02, 0.09),
+) -> tuple[np.ndarray, np.ndarray, float, float] | None:
+    """The thickest rod that fits between palm and fingers.
+
+    Args:
+        body: the person.
+        joints: (2, 22, 3) posed joints, body's metres.
+        present: (2,) bool, hands that are not to be entered.
+        side: whose hand holds it.
+        rng: the only source of randomness.
+        half_lengths: range of half its length, metres, even in the logarithm.
+
+    Returns:
+        Its centre (3,), its axis (3,) from the little finger's side to the index finger's, half its length and its
+        radius; None where nothing is grasped.
+    """
     hand = joints[side, 1:]
-    knuckles, middles = hand[[5, 9, 13, 17]], hand[[6, 10, 14, 18]]
+    knuckles = hand[[5, 9, 13, 17]]
     axis = unit(hand[5] - hand[17] + rng.normal(0, 0.012, 3))
-    half_length = float(np.exp(rng.uniform(*np.log([0.02, 0.09]))))
+    half_length = float(np.exp(rng.uniform(*np.log(half_lengths))))
     start = 0.5 * (knuckles.mean(0) + hand[[8, 12, 16, 20]].mean(0))
     palmar = unit(np.cross(hand[9] - hand[0], hand[5] - hand[17])) * (1 if side == 0 else -1)
     slide = rng.uniform(-0.5, 0.5) * half_length
@@ -364,20 +386,30 @@ def _held(body: Body, joints: np.ndarray, present: np.ndarray, side: int, rng: n
     palm, fingers = own_gaps[1:5].min(), np.sort(own_gaps[5:].reshape(5, 3).min(1))
     if palm > radius + REACH_M or fingers[1] > radius + REACH_M:
         return None
+    return centres[best], axis, half_length, radius
+
+
+def _held(body: Body, joints: np.ndarray, present: np.ndarray, side: int, rng: np.random.Generator) -> Thing | None:
+    """The thickest solid, of a random kind, that fits between palm and fingers; None where nothing is grasped."""
+    rod = grasped(body, joints, present, side, rng)
+    if rod is None:
+        return None
+    centre, axis, half_length, radius = rod
+    middles = joints[side, 1:][[6, 10, 14, 18]]
     across, along = rng.choice([1.0, 0.9, 0.35]), rng.choice([1.0, 0.3, 0.15])
     inside = 0.72 + 0.28 * across  # a box touches the hand with its edges
     half = np.array([radius * inside, radius * inside * rng.uniform(0.5, 1.0), half_length])
     solid = superquadric(half, across, along)
     turn = rng.uniform(0, 2 * np.pi)
-    x = unit(np.cross(axis, middles.mean(0) - centres[best]))
+    x = unit(np.cross(axis, middles.mean(0) - centre))
     y = np.cross(axis, x)
     frame = np.stack([np.cos(turn) * x + np.sin(turn) * y, np.cos(turn) * y - np.sin(turn) * x, axis], axis=1)
-    placed = (solid[0] @ frame.T + centres[best], solid[1] @ frame.T, solid[2], solid[3])
+    placed = (solid[0] @ frame.T + centre, solid[1] @ frame.T, solid[2], solid[3])
     stripes = float(rng.integers(2, 9)) if rng.random() < 0.35 else 0.0
     thing = _thing(placed, muted_colour(rng), muted_colour(rng), stripes, rng.uniform(0.15, 0.8), NO_LABEL)
     thickness = float(np.sqrt(half[0] * half[1]))
     reach = axis * max(half_length - thickness, 1e-3)
-    return replace(thing, core=(np.stack([centres[best] - reach, centres[best] + reach]), thickness))
+    return replace(thing, core=(np.stack([centre - reach, centre + reach]), thickness))
 
 
 def _thing(

@@ -20,20 +20,24 @@ from twohands.errors import DataFormatError, InputError
 from twohands.geometry.camera import project
 from twohands.instance_index import MANIFEST_FILE
 from twohands.synth.backgrounds.base import Backgrounds
+from twohands.synth.backgrounds.behind import room_behind
 from twohands.synth.backgrounds.procedural import ProceduralBackgrounds
 from twohands.synth.production.executors import LocalProcesses
 from twohands.synth.production.manifest import claimed_folder, environment
 from twohands.synth.production.produce import check_room
 from twohands.synth.render.choice import RendererName, open_fabrics, renderer_version
 from twohands.synth.render.compositing import compose
-from twohands.synth.render.sensor import expose, sample_sensor
+from twohands.synth.render.sensor import expose, sample_sensor, sample_webcam
 from twohands.synth.scene.config import SynthConfig
 from twohands.synth.sets.seeds import instance_rng, stream_seed
 from twohands.synth.sets.stream import SyntheticStream, labelled
 from twohands.types import HandSample, PinholeCamera
 
-FORMAT = "frames-2"
-"""Of the manifest; "frames-1" drew the scenes of a static set of the same seed, and is read just the same."""
+FORMAT = "frames-3"
+"""Of the manifest. Earlier ones are read just the same: "frames-2" had no whole people, "frames-1" drew the scenes of a
+static set of the same seed."""
+NO_PEOPLE = -1
+"""Stands in "turns" for frames that show no whole people."""
 GLARE_RATE = 0.1
 """Share of arms lit so brightly that parts of them are white, as in pictures of Ego3DHands."""
 
@@ -46,6 +50,7 @@ def _layout(config: SynthConfig, count: int) -> dict[str, tuple[tuple[int, ...],
         "joints": ((count, 2, 22, 3), np.float32),
         "present": ((count, 2), np.bool_),
         "intrinsics": ((count, 4), np.float32),
+        "turns": ((count,), np.int8),
         "done": ((count,), np.bool_),
     }
 
@@ -135,6 +140,7 @@ def _render_frame(stream: SyntheticStream, arrays: dict[str, np.ndarray], index:
     arrays["present"][index] = frame.present
     camera = frame.camera
     arrays["intrinsics"][index] = camera.fx, camera.fy, camera.cx, camera.cy
+    arrays["turns"][index] = NO_PEOPLE if frame.turns is None else frame.turns
     arrays["done"][index] = True
     return stream.unreadable
 
@@ -152,15 +158,20 @@ def vary_arms(rgb: np.ndarray, labels: np.ndarray, rng: np.random.Generator) -> 
     """
     out = rgb.copy()
     for first in (1, 8):
-        glare = rng.uniform(0.2, 1.2) if rng.random() < GLARE_RATE else 0.0
-        warmth = rng.normal(0, 0.09)  # lamps differ between blue and yellow much more than towards green
-        tint = np.array([warmth, 0.0, -warmth]) + rng.normal(0, 0.03, 3)
-        gain = np.exp(rng.normal(0.05, 0.28) + glare + tint)
-        gamma = np.exp(rng.normal(0, 0.15))
-        table = np.clip(255 * (np.arange(256)[:, None] / 255) ** gamma * gain, 0, 255).astype(np.uint8)
         arm = cv2.inRange(labels, np.array(first), np.array(first + 6))
-        cv2.copyTo(cv2.LUT(rgb, table[None]), arm, out)
+        cv2.copyTo(lit_anew(rgb, rng), arm, out)
     return out
+
+
+def lit_anew(rgb: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """The picture (H, W, 3) uint8 in a random exposure, contrast and tint."""
+    glare = rng.uniform(0.2, 1.2) if rng.random() < GLARE_RATE else 0.0
+    warmth = rng.normal(0, 0.09)  # lamps differ between blue and yellow much more than towards green
+    tint = np.array([warmth, 0.0, -warmth]) + rng.normal(0, 0.03, 3)
+    gain = np.exp(rng.normal(0.05, 0.28) + glare + tint)
+    gamma = np.exp(rng.normal(0, 0.15))
+    table = np.clip(255 * (np.arange(256)[:, None] / 255) ** gamma * gain, 0, 255).astype(np.uint8)
+    return np.asarray(cv2.LUT(rgb, table[None]))
 
 
 class FrameCache:
@@ -172,7 +183,7 @@ class FrameCache:
         frames: (start, stop) of the frames to use, to split training from validation; all if None.
         variants: how many samples one frame gives.
         empty_rate: share of samples without hands, so that a network learns what none looks like: the background and,
-            where there is one, the person's body, its arms taken out.
+            where there are solids for one, the person's body, its arms taken out; whole people are left out.
 
     Raises:
         DataFormatError: the folder holds no finished cache.
@@ -195,6 +206,8 @@ class FrameCache:
                 for name in ("rgba", "labels", "joints", "present", "intrinsics")
             }
             done = np.load(folder / "done.npy", mmap_mode="r")
+            turns = folder / "turns.npy"
+            self._turns = np.load(turns, mmap_mode="r") if turns.exists() else np.full(len(done), NO_PEOPLE, np.int8)
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise DataFormatError(f"{folder} holds no frame cache: {error}") from error
         start, stop = frames or (0, len(done))
@@ -226,17 +239,24 @@ class FrameCache:
         rng = instance_rng(self.seed, variant * len(arrays["present"]) + at, "variant")
         fx, fy, cx, cy = map(float, arrays["intrinsics"][at])
         camera = PinholeCamera(fx, fy, cx, cy, self._width, self._height)
-        background = self.backgrounds.sample(rng, camera).picture
+        turns = int(self._turns[at])
+        whole = turns != NO_PEOPLE
+        if whole:
+            background = room_behind(self.backgrounds, rng, camera, turns).picture
+        else:
+            background = self.backgrounds.sample(rng, camera).picture
         colour, alpha = cv2.cvtColor(rgba, cv2.COLOR_RGBA2RGB), rgba[..., 3]
         if rng.random() < self.empty_rate:
-            image = compose(colour, np.where(labels > 0, np.uint8(0), alpha), background)
+            hidden = alpha > 0 if whole else labels > 0
+            image = compose(colour, np.where(hidden, np.uint8(0), alpha), background)
             labels, joints_m, present = np.zeros_like(labels), np.full((2, 22, 3), np.nan), np.zeros(2, bool)
         else:
-            image = compose(vary_arms(colour, labels, rng), alpha, background)
+            # One lamp lights an arm and the rest of its person.
+            image = compose(lit_anew(colour, rng) if whole else vary_arms(colour, labels, rng), alpha, background)
             joints_m, present = np.asarray(arrays["joints"][at], np.float64), np.asarray(arrays["present"][at])
         hand = joints_m[:, 1:]
         return HandSample(
-            image=expose(image, sample_sensor(self._sensor, rng), rng),
+            image=expose(image, (sample_webcam if whole else sample_sensor)(self._sensor, rng), rng),
             camera=camera,
             present=present,
             joints_px=project(hand, camera),

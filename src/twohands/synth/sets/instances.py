@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from twohands.synth.scene.config import SynthConfig
 from twohands.synth.scene.fabrics import FabricFolder
 from twohands.synth.scene.sampling import draw_scene
 from twohands.synth.scene.spec import SceneSpec
+from twohands.synth.scene.whole_people import draw_people
 from twohands.synth.sets.seeds import instance_rng
 
 
 def sample_scene(config: SynthConfig, seed: int, index: int, fabrics: FabricFolder | None = None) -> SceneSpec:
-    """One random instance.
+    """One random instance: of whole people in the share `config.people`, else of two arms.
 
     Args:
         config: distributions.
         seed: of the whole set.
         index: of the instance; the same (config, seed, index) gives the same scene anywhere.
-        fabrics: for sleeves and gloves; plain and striped ones if None. Nothing else depends on them.
+        fabrics: for clothes; generated ones if None. Nothing else depends on them.
 
     Returns:
         The scene.
@@ -24,4 +27,9 @@ def sample_scene(config: SynthConfig, seed: int, index: int, fabrics: FabricFold
     Raises:
         InputError: the hand box cannot be reached or seen with this configuration.
     """
+    if config.people > 0:
+        if instance_rng(seed, index, "kind").random() < config.people:
+            own = instance_rng(seed, index, "people")
+            return draw_people(config, index, own, fabrics, instance_rng(seed, index, "fabric"))
+        config = replace(config, webcam=0.0, free_view=0.0)
     return draw_scene(config, index, instance_rng(seed, index), fabrics, instance_rng(seed, index, "fabric"))

@@ -22,7 +22,7 @@ KINDS: Final[dict[str, int]] = {"static": 0, "dynamic": 1, "frames": 2, "stream"
 SPLITS: Final[dict[str, int]] = {"train": 0, "val": 1, "test": 2}
 
 
-InstancePart = Literal["scene", "background", "variant", "light", "sensor", "clips", "fabric"]
+InstancePart = Literal["scene", "background", "variant", "light", "sensor", "clips", "fabric", "kind", "people"]
 SequencePart = Literal["motion", "look", "things", "clip", "camera", "noise", "fabric"]
 
 INSTANCE_PARTS: Final[dict[str, int]] = {
@@ -33,9 +33,12 @@ INSTANCE_PARTS: Final[dict[str, int]] = {
     "sensor": 1 << 43,
     "clips": 1 << 44,
     "fabric": 1 << 48,
+    "kind": 1 << 49,
+    "people": 1 << 50,
 }
 """What is added to an instance's index, for every part of it; like KINDS, never change one. "variant" counts the
-variants of cached frames; "clips", with index 0, is for the order of a dynamic set's backgrounds."""
+variants of cached frames; "clips", with index 0, is for the order of a dynamic set's backgrounds; "kind"
+decides whether a scene is one of whole people, which "people" then draws."""
 SEQUENCE_PARTS: Final[dict[str, int]] = {
     "motion": 1 << 42,
     "look": 1 << 43,

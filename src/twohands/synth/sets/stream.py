@@ -10,14 +10,18 @@ import numpy as np
 
 from twohands.geometry.camera import project
 from twohands.synth.backgrounds.base import Background, Backgrounds
+from twohands.synth.backgrounds.behind import room_behind
 from twohands.synth.backgrounds.procedural import ProceduralBackgrounds
 from twohands.synth.render.choice import Renderer, RendererName, open_renderer
 from twohands.synth.render.compositing import compose_frame
 from twohands.synth.render.lighting import lit_by, lit_inside
-from twohands.synth.render.sensor import expose, sample_sensor
+from twohands.synth.render.motion_blur import blurred
+from twohands.synth.render.sensor import expose, sample_sensor, sample_webcam
 from twohands.synth.scene.config import SynthConfig
 from twohands.synth.scene.fabrics import FabricFolder
+from twohands.synth.scene.views import quarter_turns
 from twohands.synth.sets.instances import sample_scene
+from twohands.synth.sets.presence import seen_hands
 from twohands.synth.sets.seeds import instance_rng
 from twohands.types import HandSample, PinholeCamera, RenderedFrame
 
@@ -73,34 +77,40 @@ class SyntheticStream:
         if not 0 <= index < self.size:
             raise IndexError(f"instance {index} of {self.size}")
         scene = sample_scene(self.config, self.seed, index, self.fabrics)
+        turns = quarter_turns(scene.view) if scene.people else None
         if instance_rng(self.seed, index, "light").random() < self.config.background_light:
-            behind = self.background(index, scene.camera)
+            behind = self.background(index, scene.camera, turns)
             if behind.surroundings is None:
                 lighting = lit_by(scene.lighting, behind.picture, scene.camera)
             else:
                 lighting = lit_inside(scene.lighting, behind.surroundings)
             scene = replace(scene, lighting=lighting)
         frame = self.renderer.render(scene)
-        return replace(frame, amodal=self.renderer.amodal(scene)) if self.config.amodal else frame
+        if self.config.amodal:
+            frame = replace(frame, amodal=self.renderer.amodal(scene))
+        return frame if turns is None else blurred(seen_hands(replace(frame, turns=turns)), scene.motion)
 
-    def background(self, index: int, camera: PinholeCamera) -> Background:
-        """Background of instance `index`, whose camera that is."""
-        return self._background(index, camera)
+    def background(self, index: int, camera: PinholeCamera, turns: int | None = None) -> Background:
+        """Background of instance `index`, whose camera that is; `turns` as of `RenderedFrame`."""
+        return self._background(index, camera, turns)
 
     @cached_property
-    def _background(self) -> Callable[[int, PinholeCamera], Background]:
+    def _background(self) -> Callable[[int, PinholeCamera, int | None], Background]:
         """Keeps the last one: it gives light, then stands behind the hands."""
 
-        def sample(index: int, camera: PinholeCamera) -> Background:
-            return self.backgrounds.sample(instance_rng(self.seed, index, "background"), camera)
+        def sample(index: int, camera: PinholeCamera, turns: int | None) -> Background:
+            rng = instance_rng(self.seed, index, "background")
+            if turns is None:
+                return self.backgrounds.sample(rng, camera)
+            return room_behind(self.backgrounds, rng, camera, turns)
 
         return lru_cache(maxsize=1)(sample)
 
     def picture(self, index: int, frame: RenderedFrame) -> np.ndarray:
         """(H, W, 3) uint8, the frame of instance `index` on its background, as its camera takes it."""
         rng = instance_rng(self.seed, index, "sensor")
-        sensor = sample_sensor(self.config.sensor, rng)
-        return expose(compose_frame(frame, self.background(index, frame.camera).picture), sensor, rng)
+        sensor = (sample_sensor if frame.turns is None else sample_webcam)(self.config.sensor, rng)
+        return expose(compose_frame(frame, self.background(index, frame.camera, frame.turns).picture), sensor, rng)
 
     def __getitem__(self, index: int) -> HandSample:
         frame = self.frame(index)
