@@ -13,8 +13,11 @@ from twohands.synth.scene.spec import moved
 from twohands.synth.scene.things import NO_LABEL, band, superquadric
 from twohands.synth.sets.instances import sample_scene
 
+ARMS = dataclasses.replace(WILD, people=0.0)
+"""Preset wild without whole people: scenes of two arms."""
+
 LADEN = {"objects": 1.0, "watches": 1.0, "rings": 1.0, "gloves": 0.0, "sleeves": 0.0}
-CONFIG = dataclasses.replace(WILD, width=480, height=270, webcam=0.0, free_view=0.0, pitch=(0.0, 0.0), **LADEN)
+CONFIG = dataclasses.replace(ARMS, width=480, height=270, webcam=0.0, free_view=0.0, pitch=(0.0, 0.0), **LADEN)
 
 
 @pytest.fixture(scope="module")

@@ -178,7 +178,7 @@ def test_cached_frames_are_taken_by_the_camera_of_their_preset(tmp_path):
         def sample(self, rng, camera):
             return Background(np.full((camera.height, camera.width, 3), 90, np.uint8))
 
-    wild = dataclasses.replace(WILD, width=160, height=90, webcam=1.0, free_view=0.0)
+    wild = dataclasses.replace(WILD, width=160, height=90, people=0.0, webcam=1.0, free_view=0.0)
     for sensor in (0.0, 1.0):
         build_cache(tmp_path / str(sensor), dataclasses.replace(wild, sensor=sensor), 5, 6)
     clean, taken = (FrameCache(tmp_path / sensor, Wall(), empty_rate=1.0) for sensor in ("0.0", "1.0"))

@@ -334,9 +334,10 @@ def _surface_problems(instance: Ego3DHandsInstance) -> list[str]:
     gaps = surface_gaps_m(instance)
     found = []
     for side in (LEFT, RIGHT):
-        in_front = gaps[side] < -SURFACE_TOLERANCE_M  # False for NaN
+        gap = gaps[side, 1:]  # without the elbow, which may be looked at through the end of a sleeve
+        in_front = gap < -SURFACE_TOLERANCE_M  # False for NaN
         if in_front.any():
-            worst = -np.nanmin(gaps[side])
+            worst = -np.nanmin(gap)
             found.append(
                 f"{SIDES[side]} hand: {np.count_nonzero(in_front)} joints lie up to {worst * 100:.1f} cm in front of "
                 f"the surface of {fmt.DEPTH_FILE}"

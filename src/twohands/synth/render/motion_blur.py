@@ -55,7 +55,7 @@ def blurred(frame: RenderedFrame, motion: tuple[ArmMotion | None, ArmMotion | No
         total += np.dstack([cv2.remap(part, *at, cv2.INTER_LINEAR) for part in (layer[..., :4], layer[..., 4])])
     total /= STEPS
     out = total[..., :4] + (1 - total[..., 4:] / 255) * behind
-    alpha = np.clip(out[..., 3], 0, 255)
+    alpha = np.clip(np.maximum(out[..., 3], arm), 0, 255)  # what has a label is not quite see-through
     straight = out[..., :3] * 255 / np.maximum(alpha[..., None], 1)
     covered = alpha > 0.5
     rgb = np.where(covered[..., None], np.clip(straight + 0.5, 0, 255), 0).astype(np.uint8)

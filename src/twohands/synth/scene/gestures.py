@@ -22,6 +22,7 @@ from twohands.synth.scene.pose import (
     ArmAnatomy,
     HandAngles,
     cross,
+    dot,
     frame,
     rotation_about,
     signed_angle,
@@ -34,6 +35,8 @@ CANDIDATES: Final = 24
 _UPPER_ARM, _ELBOW, _TWIST, _WRIST = (
     ARM_BONES.index(name) for name in ("upperarm01", "lowerarm01", "lowerarm02", "wrist")
 )
+SHARPEST_ELBOW: Final = np.radians(36)
+"""Between upper arm and forearm: flesh meets."""
 SHARE_OF_TWIST: Final = 0.55
 """Of the forearm's pronation at its middle; the rest at the wrist (as `pose`)."""
 PALM: Final = np.bincount([1, 6, 10, 14, 18], [0.28, 0.18, 0.18, 0.18, 0.18], 22)
@@ -115,8 +118,11 @@ def solved(anatomy: ArmAnatomy, goal: ArmGoal, shoulder: np.ndarray) -> SolvedAr
     reached &= anatomy.reach_by(rotations, place - (hand_now @ offset[..., None])[..., 0], elbow)
     off = np.arccos(np.clip((np.trace(np.swapaxes(hand, -1, -2) @ hand_now, axis1=-2, axis2=-1) - 1) / 2, -1, 1))
     strain = (np.abs(clipped + _rests(anatomy)) / ANGLE_LIMITS[:3, 1]).sum(-1) + 2 * off
-    joints = anatomy.joints(rotations) @ turn.T + shoulder[:, 3]
-    return SolvedArms(rotations, joints, reached & (off < goal.slack), strain)
+    joints = anatomy.joints(rotations)
+    upper, lower = anatomy.shoulder - joints[:, 0], joints[:, 1] - joints[:, 0]
+    bent = dot(upper, lower) / (anatomy.upper_length * anatomy.lower_length)
+    fits = reached & (off < goal.slack) & (bent < np.cos(SHARPEST_ELBOW))
+    return SolvedArms(rotations, joints @ turn.T + shoulder[:, 3], fits, strain)
 
 
 def _rests(anatomy: ArmAnatomy) -> np.ndarray:

@@ -98,7 +98,7 @@ def sample_viewpoint(config: SynthConfig, rng: np.random.Generator) -> Viewpoint
         place, anchor = around(CHEST, distance, azimuth, np.clip(rng.normal(0, 11), -35, 25)), CHEST
         at = np.array([0.5, 0.48]) + shift * [1.5, 0.8]
     elif style == "shoulder":
-        place = rng.uniform([0.1, -0.32, -0.45], [0.36, -0.05, -0.12]) * [rng.choice([-1, 1]), 1, 1]
+        place = rng.uniform([0.17, -0.38, -0.32], [0.42, -0.04, 0.02]) * [rng.choice([-1, 1]), 1, 1]
         anchor, at = rng.uniform([-0.08, 0.28, 0.3], [0.08, 0.45, 0.42]), np.array([0.5, 0.5]) + shift * 0.5
     else:
         place = rng.uniform([-0.4, -0.4, 0.2], [0.4, 0.1, 0.8])

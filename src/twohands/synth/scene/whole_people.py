@@ -465,9 +465,22 @@ def _motion(
 def _lighting(config: SynthConfig, viewpoint: Viewpoint, rng: np.random.Generator) -> Lighting:
     """The lamps of hands' scenes, farther off, for a whole person needs more room."""
     lighting = sample_lighting(config, rng)
-    farther = rng.uniform(1.2, 1.8)
-    positions = moved(viewpoint.view, lighting.positions * farther)
-    return dataclasses.replace(lighting, positions=positions, colours=lighting.colours * farther**2)
+    farther, ambient = rng.uniform(1.2, 1.8), rng.uniform(1.0, 1.9)
+    # People mostly turn towards the light, and whoever takes their picture does not stand against it.
+    ahead = np.where(rng.random((len(lighting.positions), 1)) < 0.7, np.abs(lighting.positions), lighting.positions)
+    positions = np.c_[lighting.positions[:, :2], ahead[:, 2]] @ rotation_about(_Y, -_azimuth(viewpoint))
+    return dataclasses.replace(
+        lighting,
+        positions=moved(viewpoint.view, positions * farther),
+        colours=lighting.colours * farther**2,
+        sky=lighting.sky * ambient,
+        ground=lighting.ground * ambient,
+    )
+
+
+def _azimuth(viewpoint: Viewpoint) -> float:
+    """Of the camera, to the person's right of straight ahead, radians."""
+    return float(np.arctan2(viewpoint.place[0], viewpoint.place[2]))
 
 
 def _things(

@@ -34,11 +34,12 @@ def encode_instance(frame: RenderedFrame, image: np.ndarray) -> dict[str, bytes]
     if frame.amodal is not None:
         files[layout.AMODAL_FILE] = _png(frame.amodal[0] + np.uint8(2) * frame.amodal[1])
     hands = np.minimum(frame.part_labels, 1)  # things are no part of this file
+    depth = np.minimum(frame.depth_m, layout.MAX_DEPTH_M)  # of people across a room, the file cannot hold more
     return files | {
         layout.COLOR_FILE: _png(cv2.copyTo(_bgra(frame.rgb, frame.alpha), hands)),
         layout.IMAGE_FILE: _png(cv2.cvtColor(image, cv2.COLOR_RGB2BGR)),
         layout.LABELS_FILE: _png(layout.encode_labels(frame.part_labels)),
-        layout.DEPTH_FILE: _png(cv2.cvtColor(layout.encode_depth(frame.depth_m), cv2.COLOR_RGB2BGR)),
+        layout.DEPTH_FILE: _png(cv2.cvtColor(layout.encode_depth(depth), cv2.COLOR_RGB2BGR)),
         layout.JOINTS_2D_FILE: _npy(layout.encode_joints_px(joints_px_with_elbow(frame), width, height)),
         layout.JOINTS_3D_FILE: _npy(layout.encode_joints_m(frame.joints_m)),
         layout.CANONICAL_FILE: _npy(layout.encode_canonical(canonical_with_elbow(frame.joints_m))),
