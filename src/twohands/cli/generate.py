@@ -77,9 +77,9 @@ class GenerateArgs:
     ray_address: str | None = None
     """HOST:PORT of a running Ray cluster's head, "auto" for the cluster that this machine belongs to; if not given, one
     is started on this machine (ray)."""
-    preset: Literal["paper", "wild"] = "paper"
+    preset: Literal["paper", "wild", "people"] = "paper"
     """paper: one character and one camera, as in the paper; wild: all kinds of adults, cameras and clothes, hands that
-    meet. Settings given as --config.NAME change it."""
+    meet, whole people; people: only these. Settings given as --config.NAME change it."""
     config: SynthConfig = field(default_factory=SynthConfig)
     """Distributions of the scenes; the defaults are those of the preset."""
     motion: MotionConfig = field(default_factory=MotionConfig)

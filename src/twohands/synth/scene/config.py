@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite
 
 from twohands.errors import InputError
@@ -170,4 +170,7 @@ WILD = SynthConfig(
 )
 """As varied as the world: all kinds of adults, cameras, clothes; hands that meet and leave the picture."""
 
-PRESETS = {"paper": PAPER, "wild": WILD}
+PEOPLE = replace(WILD, people=1.0)
+"""Whole people alone, before webcams and in rooms."""
+
+PRESETS = {"paper": PAPER, "wild": WILD, "people": PEOPLE}

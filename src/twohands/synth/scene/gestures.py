@@ -7,7 +7,7 @@ not move. A gesture says where a part of the hand should be and how the palm sho
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -258,9 +258,9 @@ class Stage:
 
 def fingers(
     rng: np.random.Generator,
-    mcp: float | list[float],
-    pip: float | list[float],
-    thumb: list[float],
+    mcp: float | Sequence[float],
+    pip: float | Sequence[float],
+    thumb: Sequence[float],
     *,
     openness: float = 0.2,
     noise: float = 5.0,
@@ -337,14 +337,14 @@ def pressing(rng: np.random.Generator) -> HandAngles:
 
 
 def near(
-    rng: np.random.Generator, direction: list[float] | np.ndarray, spread: float, n: int = CANDIDATES
+    rng: np.random.Generator, direction: Sequence[float] | np.ndarray, spread: float, n: int = CANDIDATES
 ) -> np.ndarray:
     """(N, 3) unit vectors about a direction (3,) or (N, 3), with about `spread` radians of deviation."""
     wanted = unit(np.asarray(direction, float))
     return unit(wanted + rng.normal(0, spread, (n, 3)))
 
 
-def within(rng: np.random.Generator, low: list[float], high: list[float], n: int = CANDIDATES) -> np.ndarray:
+def within(rng: np.random.Generator, low: Sequence[float], high: Sequence[float], n: int = CANDIDATES) -> np.ndarray:
     """(N, 3) places in a box."""
     return rng.uniform(low, high, (n, 3))
 
@@ -353,7 +353,7 @@ DOWN_OUT: Final = np.array([0.55, 1.0, -0.25])
 """Where elbows mostly point."""
 
 
-def elbows(rng: np.random.Generator, direction: np.ndarray | list[float] | None = None) -> np.ndarray:
+def elbows(rng: np.random.Generator, direction: np.ndarray | Sequence[float] | None = None) -> np.ndarray:
     """(N, 3) directions of the elbow."""
     return near(rng, DOWN_OUT if direction is None else direction, 0.22)
 
@@ -386,7 +386,7 @@ def on_lap(stage: Stage, rng: np.random.Generator) -> ArmGoal:
 
 
 def _table_place(
-    stage: Stage, rng: np.random.Generator, low: list[float], high: list[float], above: float
+    stage: Stage, rng: np.random.Generator, low: Sequence[float], high: Sequence[float], above: float
 ) -> np.ndarray:
     """(N, 3) places above the table, box in x and z (gravity's axes)."""
     height = 0.44 if stage.table_y is None else stage.table_y
@@ -668,6 +668,11 @@ def clapping(left: Stage, right: Stage, rng: np.random.Generator) -> PairGoal:
     return _facing(middle, across, gap, along, (flat(rng), flat(rng)), elbows(rng), slack=0.9, near=0.6)
 
 
+def _laced(rng: np.random.Generator) -> HandAngles:
+    """Fingers bent and apart, for those of the other hand between them."""
+    return fingers(rng, 52, 48, [36, 30, 10, 20], openness=0.7)
+
+
 def clasped(left: Stage, right: Stage, rng: np.random.Generator) -> PairGoal:
     """One hand round the other, or fingers laced, before the chest, under the chin, on lap or table."""
     middle = within(rng, [-0.06, 0.16, 0.16], [0.06, 0.5, 0.34])
@@ -680,13 +685,11 @@ def clasped(left: Stage, right: Stage, rng: np.random.Generator) -> PairGoal:
     tilt = rng.normal(0, 0.5)
     along = near(rng, [0.65, -0.3 + tilt, 0.75], 0.1), near(rng, [-0.65, -0.3 + tilt, 0.75], 0.1)
     across = near(rng, [1, 0, 0], 0.1)
-    laced = fingers(rng, 52, 48, [36, 30, 10, 20], openness=0.7)
-    shapes = [
-        (laced, fingers(rng, 52, 48, [36, 30, 10, 20], openness=0.7)),
-        (fist(rng), fingers(rng, 40, 46, [40, 40, 10, 20])),
-    ]
-    shape = shapes[int(rng.integers(2))]
-    shape = shape if rng.random() < 0.5 else shape[::-1]
+    if rng.random() < 0.5:
+        shape = _laced(rng), _laced(rng)
+    else:
+        closed, round_it = fist(rng), fingers(rng, 40, 46, [40, 40, 10, 20])
+        shape = (closed, round_it) if rng.random() < 0.5 else (round_it, closed)
     return _facing(
         middle, across, rng.uniform(0.02, 0.03), along, shape, elbows(rng, [1, 0.8, -0.2]), slack=1.0, near=0.0
     )
@@ -696,8 +699,8 @@ def steepled(left: Stage, right: Stage, rng: np.random.Generator) -> PairGoal:
     """Fingertips meet."""
     middle = within(rng, [-0.04, 0.1, 0.18], [0.04, 0.4, 0.34])
     along = near(rng, [0.45, -0.8, 0.5], 0.08), near(rng, [-0.45, -0.8, 0.5], 0.08)
-    across, shape = near(rng, [1, 0, 0], 0.06), (fingers(rng, 14, 14, [40, 20, 6, 6], openness=0.8),) * 2
-    return _facing(middle, across, rng.uniform(0.045, 0.06), along, shape, elbows(rng), slack=0.9, near=0.4)
+    across, shape = near(rng, [1, 0, 0], 0.06), fingers(rng, 14, 14, [40, 20, 6, 6], openness=0.8)
+    return _facing(middle, across, rng.uniform(0.045, 0.06), along, (shape, shape), elbows(rng), slack=0.9, near=0.4)
 
 
 def stacked(left: Stage, right: Stage, rng: np.random.Generator) -> PairGoal:
@@ -706,8 +709,8 @@ def stacked(left: Stage, right: Stage, rng: np.random.Generator) -> PairGoal:
     across = near(rng, [rng.normal(0, 0.3), (1 if rng.random() < 0.5 else -1), rng.normal(0, 0.4)], 0.1)
     along = near(rng, [0.8, -0.1, 0.7], 0.2), near(rng, [-0.8, -0.1, 0.7], 0.2)
     kinds = [flat, relaxed, mostly_pointing, fist]
-    shape = flat(rng), kinds[int(rng.choice(4, p=[0.4, 0.2, 0.25, 0.15]))](rng)
-    shape = shape if rng.random() < 0.5 else shape[::-1]
+    open_hand, other = flat(rng), kinds[int(rng.choice(4, p=[0.4, 0.2, 0.25, 0.15]))](rng)
+    shape = (open_hand, other) if rng.random() < 0.5 else (other, open_hand)
     return _facing(middle, across, rng.uniform(0.016, 0.035), along, shape, elbows(rng), slack=1.1, near=0.25)
 
 

@@ -540,8 +540,8 @@ def _others(
         view = after(viewpoint.view, np.c_[turn @ posture.lean, place])
         resting = SITTING if posture.seated else STANDING
         for _ in range(6):
-            chosen = tuple(_choice(rng, resting if rng.random() < 0.6 else SHOWING) for _ in (LEFT, RIGHT))
-            arms = pose_arms(person, posture, chosen, (False, False), view, viewpoint, config, rng)
+            left, right = (_choice(rng, resting if rng.random() < 0.6 else SHOWING) for _ in (LEFT, RIGHT))
+            arms = pose_arms(person, posture, (left, right), (False, False), view, viewpoint, config, rng)
             if arms is not None:
                 look = sample_look(rng, person.someone)
                 transforms = viewed(view, arms.transforms)

@@ -8,6 +8,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
+from twohands.errors import InputError
 from twohands.geometry.camera import project
 from twohands.synth.backgrounds.base import Background, Backgrounds
 from twohands.synth.backgrounds.behind import room_behind
@@ -37,6 +38,9 @@ class SyntheticStream:
         renderer_name: who draws.
         fabrics: for sleeves and gloves.
 
+    Raises:
+        InputError: Blender is to draw whole people.
+
     Raises (on the first item):
         MissingExtraError, RendererError: no renderer on this machine.
     """
@@ -50,6 +54,8 @@ class SyntheticStream:
         renderer_name: RendererName = "raster",
         fabrics: FabricFolder | None = None,
     ) -> None:
+        if config.people > 0 and renderer_name == "blender":
+            raise InputError("Blender draws no whole people: set --config.people 0, or take --renderer raster")
         self.config, self.seed, self.size = config, seed, size
         self.renderer_name: RendererName = renderer_name
         self.backgrounds = backgrounds or ProceduralBackgrounds()
