@@ -54,7 +54,7 @@ def renderer():
 
 
 def test_a_mesh_has_all_parts_once():
-    shape, look = someone_dressed(0, outfit="male_casualsuit02", hair="short01", lash="eyelashes01", hat=None)
+    shape, look = someone_dressed(0, outfit="male_casualsuit02", hair="short01", hat=None)
     mesh = person_mesh(look, shape)
     assert (np.diff(mesh.first) > 0).all() and len(mesh.first) == len(PARTS) + 1
     assert mesh.first[-1] == len(mesh.faces) and mesh.faces.max() < len(mesh.position)

@@ -31,13 +31,23 @@ from twohands.synth.scene.people import BODY_BONES, N_BONES, Worn, load_people
 from twohands.synth.scene.spec import Lighting
 from twohands.synth.scene.things import NO_LABEL, vertex_normals
 
-PARTS: Final = ("skin", "eyes", "cloth", "hair", "brow", "lash")
-LANYARD, GLASSES, HAT = range(ZONES, ZONES + 3)
-SHADOW_SIZE: Final = 320
+PARTS: Final = ("skin", "eyes", "cloth", "hair", "brow")
+LANYARD, GLASSES, HAT, BADGE = range(ZONES, ZONES + 4)
+SHADOW_SIZE: Final = 224
+"""Coarse: lamps are not points."""
+HAT_LINE_M: Final = -0.048
+"""Hair higher than this over the eyes is not seen under a hat."""
 UNCUT: Final = 9.0
 """Place along the arm of what no sleeve's end cuts off."""
 SKIN_UNDER_M: Final = 0.004
 """How far skin is drawn in where cloth covers a part of it."""
+BROW_RAISED_M: Final = 0.0015
+BROW_OF_MAP: Final = "eyebrow011"
+"""The brow whose map there is; the others have as many vertices in the same order."""
+LENS_AHEAD_M: Final = 0.014
+FRAME_RADIUS_M: Final = 0.0016
+STRIPE_PER_ARM_M: Final = 0.27
+"""Length of forearm and of upper arm, roughly: what one unit of the place along the arm is in metres."""
 IRIS_ANGLE: Final = np.radians(28)
 IRIS_ON_MAP: Final = 0.187
 """Half the iris, seen from the eyeball's middle, and on its map as a share of the width."""
@@ -55,7 +65,7 @@ class PersonMesh:
         still: (V, 14) float32, what does not change with the pose: uv, traits, more, rest, part, as the shaders have
             them.
         faces: (F, 3) int32.
-        first: (7,) first triangle of every one of PARTS, and their number.
+        first: (6,) first triangle of every one of PARTS, and their number.
     """
 
     position: np.ndarray
@@ -78,6 +88,7 @@ class _Anatomy:
     moustache: np.ndarray
     face: np.ndarray
     eye: np.ndarray
+    flush: np.ndarray
 
 
 @lru_cache(maxsize=1)
@@ -104,11 +115,11 @@ def _anatomy() -> _Anatomy:
     head = asset.weights[:, BODY_BONES.index("head")] > 0.5
     x, y, z = points[:n].T
     # The hairline: 6.5 cm above the eyes, before the ears, and down to the nape.
-    line = np.interp(z, [-0.17, -0.10, -0.075, -0.035, 0.0], [0.045, 0.03, -0.035, -0.055, -0.066])
+    line = np.interp(z, [-0.17, -0.10, -0.075, -0.035, 0.0], [0.045, 0.03, -0.035, -0.052, -0.062])
     line -= 0.012 * np.clip(np.abs(x) / 0.05 - 0.6, 0, 1) * (z > -0.05)
     scalp = (
         (asset.weights[:, [BODY_BONES.index(b) for b in ("head", "neck03")]].sum(1) > 0.3)
-        * np.clip((line - y) / 0.008, 0, 1)
+        * np.clip((line - y) / 0.016, 0, 1)
         * np.clip((0.075 - np.abs(x)) / 0.006 + 1, 0, 1)
     )
     # Chin, jaw and upper lip: the mouth lies 7 to 8 cm below the eyes, the ears 9 cm behind them.
@@ -118,7 +129,16 @@ def _anatomy() -> _Anatomy:
     cheek = np.clip((np.hypot(x / 0.030, (y - 0.045) / 0.026) - 0.85) / 0.3, 0, 1)
     lip = np.clip(1.3 - np.hypot(x / 0.032, (y - 0.0625) / 0.0075), 0, 1)
     beard = head * jaw * cheek * np.clip(1 - 1.15 * mouth, 0, 1)
-    return _Anatomy(label, palmar, along, scalp, beard, head * lip, head.astype(float), np.any(asset.is_eye, axis=0))
+    flush = np.zeros(n)
+    flush[asset.arm_rows] = surface().flush
+    front = head * (z > -0.05)
+    nose = points[:n][front & (np.abs(x) < 0.01) & (y > 0.015) & (y < 0.06)]
+    tip = nose[nose[:, 2].argmax()]
+    flush += front * 0.9 * np.exp(-(((points[:n] - tip) ** 2).sum(1)) / 0.014**2)
+    flush += front * 0.8 * np.exp(-((np.abs(x) - 0.038) ** 2 + (y - 0.043) ** 2) / 0.02**2)
+    flush += head * 0.8 * ((np.abs(x) > 0.068) & (y > -0.03) & (y < 0.05) & (z < -0.06) & (z > -0.14))
+    eye = np.any(asset.is_eye, axis=0)
+    return _Anatomy(label, palmar, along, scalp, beard, head * lip, head.astype(float), eye, np.clip(flush, 0, 1))
 
 
 class _Builder:
@@ -162,6 +182,10 @@ def person_mesh(look: PersonLook, shape: np.ndarray, present: tuple[bool, bool] 
     if look.hat is not None:
         hat = asset.worn[f"hat/{look.hat}"]
         _worn(build, hat, np.full(len(hat.bind), float(HAT)), anatomy)
+    if look.glasses is not None:
+        _glasses(build, points, look)
+    if look.lanyard is not None:
+        _lanyard(build, points, outfit, hidden)
     if look.hair is not None:
         hair = asset.worn[f"hair/{look.hair}"]
         position, normal = _shell(hair, points)
@@ -178,23 +202,12 @@ def person_mesh(look: PersonLook, shape: np.ndarray, present: tuple[bool, bool] 
             labels,
             hair.faces,
         )
-    for part, name in (("brow", look.brow), ("lash", look.lash)):
-        if name is not None:
-            card = asset.worn[f"{part}/{name}"]
-            position, normal = _shell(card, points)
-            zero = np.zeros((len(position), 4))
-            labels = np.full(len(position), float(NO_LABEL))
-            build.add(
-                part,
-                position,
-                normal,
-                card.follows(asset.weights),
-                card.uv * [1, -1] + [0, 1],
-                zero,
-                zero,
-                labels,
-                card.faces,
-            )
+    brow = asset.worn[f"brow/{look.brow}"]
+    position, normal = _shell(brow, points)
+    position = position + BROW_RAISED_M * np.sign(normal[:, 2:]) * normal
+    zero, labels = np.zeros((len(position), 4)), np.full(len(position), float(NO_LABEL))
+    uv = asset.worn[f"brow/{BROW_OF_MAP}"].uv * [1, -1] + [0, 1]
+    build.add("brow", position, normal, brow.follows(asset.weights), uv, zero, zero, labels, brow.faces)
     return build.mesh()
 
 
@@ -216,7 +229,7 @@ def _skin(
     under = hidden & ~anatomy.eye
     position = points - SKIN_UNDER_M * under[:, None] * normals
     eye_face = anatomy.eye[body_faces].all(1)
-    traits = np.column_stack([anatomy.palmar, np.full(len(points), UNCUT), anatomy.scalp, anatomy.beard])
+    traits = np.column_stack([anatomy.palmar, anatomy.flush, anatomy.scalp, anatomy.beard])
     more = np.column_stack([anatomy.face, asset.open, anatomy.moustache, np.zeros(len(points))])
     for part, chosen in (("skin", ~eye_face & ~gone), ("eyes", eye_face)):
         used = np.unique(faces[chosen])
@@ -272,37 +285,161 @@ def _worn(build: _Builder, worn: Worn, zone: np.ndarray, anatomy: _Anatomy, cut:
         arms = weight[:, len(BODY_BONES) :].reshape(len(weight), 2, -1).sum(2)
         for side in (0, 1):
             label[arms[:, side] > 0.5] = 1 + 7 * side
-    # Creases are deepest about the joints and the waist.
-    traits = np.column_stack([along, np.zeros(len(position)), np.ones(len(position)), np.zeros(len(position))])
+    # Stripes run around trunk, legs and arms; creases are deepest about elbows, armpits and waist.
+    down = np.where(label < NO_LABEL, -STRIPE_PER_ARM_M * along, position[:, 1])
+    waist = position[:, 1]
+    crease = 0.45 + 0.8 * np.exp(-(((along - 1.0) / 0.28) ** 2)) + 0.5 * np.exp(-(((along - 2.15) / 0.3) ** 2))
+    crease += 0.5 * np.exp(-(((waist - 0.62) / 0.09) ** 2)) * (label == NO_LABEL)
+    traits = np.column_stack([along, down, crease, np.zeros(len(position))])
     more = np.column_stack([np.zeros(len(position)), worn.open, np.zeros(len(position)), zone])
     build.add("cloth", position, normal, weight, worn.uv, traits, more, label, worn.faces)
 
 
+def _rigid(
+    build: _Builder, mesh: tuple[np.ndarray, np.ndarray, np.ndarray], zone: int, weight: np.ndarray, loose: float = 0.0
+) -> None:
+    """Adds a plain mesh (vertices, normals, faces) with skinning weights (V, 76) to the cloth."""
+    position, normal, faces = mesh
+    n = len(position)
+    more = np.column_stack([np.zeros(n), np.ones(n), np.zeros(n), np.full(n, float(zone))])
+    traits = np.column_stack([np.full(n, UNCUT), np.zeros(n), np.full(n, loose), np.zeros(n)])
+    label = np.full(n, float(NO_LABEL))
+    build.add("cloth", position, normal, weight, position[:, :2], traits, more, label, faces)
+
+
+def tube(path: np.ndarray, radius: float, *, closed: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A tube of six sides about a path (N, 3): vertices (6 N, 3), outward unit normals, triangles from outside."""
+    sides, n = 6, len(path)
+    ahead = np.roll(path, -1, axis=0) - np.roll(path, 1, axis=0) if closed else np.gradient(path, axis=0)
+    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+    across = np.cross(ahead, [0.02, 0.03, 1.0])
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    beside = np.cross(ahead, across)
+    angle = np.arange(sides) * 2 * np.pi / sides
+    normal = np.cos(angle)[None, :, None] * across[:, None] + np.sin(angle)[None, :, None] * beside[:, None]
+    row, column = np.meshgrid(np.arange(n if closed else n - 1), np.arange(sides), indexing="ij")
+    a, b = row * sides + column, row * sides + (column + 1) % sides
+    c, d = (row + 1) % n * sides + column, (row + 1) % n * sides + (column + 1) % sides
+    faces = np.concatenate([np.stack([a, b, d], -1), np.stack([a, d, c], -1)]).reshape(-1, 3)
+    return (path[:, None] + radius * normal).reshape(-1, 3), normal.reshape(-1, 3), faces
+
+
+def _glasses(build: _Builder, points: np.ndarray, look: PersonLook) -> None:
+    """Rims about the eyes, a bridge and temples to the ears."""
+    asset = load_people()
+    eyes = [points[own].mean(0) for own in asset.is_eye]
+    front = max(float(points[own][:, 2].max()) for own in asset.is_eye) + LENS_AHEAD_M
+    temple = points[(_anatomy().face > 0) & (np.abs(points[:, 1]) < 0.02) & (np.abs(points[:, 2] + 0.05) < 0.02)]
+    ear = float(np.abs(temple[:, 0]).max()) + 0.002
+    head = np.zeros(N_BONES, np.float32)
+    head[BODY_BONES.index("head")] = 1
+    turn = np.linspace(0, 2 * np.pi, 28, endpoint=False)
+    paths = []
+    for eye in eyes:
+        side = np.sign(eye[0])
+        rim = np.stack(
+            [
+                np.sign(np.cos(turn)) * np.abs(np.cos(turn)) ** 0.75,
+                np.sign(np.sin(turn)) * np.abs(np.sin(turn)) ** 0.75,
+            ],
+            1,
+        )
+        x = eye[0] + side * 0.002 + rim[:, 0] * look.lens[0]
+        y = eye[1] + 0.004 + rim[:, 1] * look.lens[1]
+        paths.append((np.column_stack([x, y, front - 6.0 * np.maximum(np.abs(x) - 0.02, 0) ** 2]), True))
+        outer = eye[0] + side * (0.002 + look.lens[0])
+        z = front - 6.0 * (abs(outer) - 0.02) ** 2
+        hinge, top = np.array([outer, eye[1] - 0.3 * look.lens[1], z]), -0.35 * look.lens[1]
+        paths.append((np.array([hinge, [side * ear, top, -0.045], [side * ear, 0.012, -0.11]]), False))
+    inner = [eye[0] + np.sign(eye[0]) * (0.002 - look.lens[0]) for eye in eyes]
+    bridge = np.linspace(inner[0], inner[1], 6)
+    bow = 1 - (np.linspace(-1, 1, 6)) ** 2
+    paths.append((np.column_stack([bridge, -0.002 - 0.003 * bow, front + 0.003 * bow]), False))
+    for path, closed in paths:
+        mesh = tube(path, FRAME_RADIUS_M, closed=closed)
+        _rigid(build, mesh, GLASSES, np.tile(head, (len(mesh[0]), 1)))
+
+
+def _lanyard(build: _Builder, points: np.ndarray, outfit: Worn, hidden: np.ndarray) -> None:
+    """A ribbon from both sides of the neck to a badge on the belly, lying on what is worn."""
+    asset = load_people()
+    worn = outfit.fitted(points)
+    weights = outfit.follows(asset.weights)
+    bare = np.flatnonzero(~hidden & (points[:, 2] > -0.14) & (np.abs(points[:, 0]) < 0.2))
+    under = np.concatenate([worn, points[bare]])
+    neck = points[asset.n_points :] if len(points) > asset.n_points else asset.average[asset.n_points :]
+    start = float(neck[BODY_BONES.index("neck01"), 1]) - 0.005
+    steps = np.linspace(0, 1, 40)
+
+    def lie(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        apart = (under[:, 0] - x[:, None]) ** 2 + (under[:, 1] - y[:, None]) ** 2
+        near = np.where(apart < 0.022**2, under[:, 2], -np.inf)
+        z = np.where(
+            np.isfinite(near.max(1)), near.max(1), np.interp(y, under[:, 1].take([0, 1]), under[:, 2].take([0, 1]))
+        )
+        kernel = np.array([0.1, 0.2, 0.4, 0.2, 0.1])
+        smooth = np.convolve(np.pad(z, 2, mode="edge"), kernel, "valid")
+        nearest = ((worn[:, :2] - np.stack([x, y], 1)[:, None]) ** 2).sum(-1) + 0.3 * (worn[:, 2] - z[:, None]) ** 2
+        return np.maximum(smooth, z - 0.004) + 0.004, nearest.argmin(1)
+
+    for side in (-1, 1):
+        x, y = side * (0.075 * (1 - steps) ** 0.8 + 0.004), start + (0.52 - start) * steps
+        z, of = lie(x, y)
+        width = np.array([0.0075, 0.0])
+        edge = [np.column_stack([x + s * width[0], y, z]) for s in (-1, 1)]
+        vertices = np.concatenate(edge)
+        i = np.arange(len(steps) - 1)
+        n = len(steps)
+        faces = np.concatenate([np.stack([i, i + n, i + 1], 1), np.stack([i + 1, i + n, i + n + 1], 1)])
+        normal = np.tile([0.0, 0.0, 1.0], (len(vertices), 1))
+        _rigid(build, (vertices, normal, faces), LANYARD, weights[np.concatenate([of, of])])
+    z, of = lie(np.zeros(1), np.array([0.56]))
+    badge = np.array(
+        [
+            [-0.028, 0.515, z[0] + 0.006],
+            [0.028, 0.515, z[0] + 0.006],
+            [0.028, 0.605, z[0] + 0.006],
+            [-0.028, 0.605, z[0] + 0.006],
+        ]
+    )
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    _rigid(build, (badge, np.tile([0.0, 0.0, 1.0], (4, 1)), faces), BADGE, weights[np.repeat(of, 4)])
+
+
 @lru_cache(maxsize=1)
 def wrinkle_map(size: int = 512) -> np.ndarray:
-    """(size, size, 3) uint8, tileable: slopes of creased cloth along both axes about 128, and how deep it lies."""
+    """(size, size, 3) uint8, tileable: slopes of creased cloth along both axes about 128, and how deep it lies.
+
+    Folds are long, soft ridges, most of them lengthwise; fine creases lie between them.
+    """
     rng = np.random.default_rng(7)
-    y, x = np.mgrid[0:size, 0:size] / size * 2 * np.pi
-    warp = sum(a * np.sin(i * x + j * y + p) for i, j, a, p in _waves(rng, 10, 4))
-    height = np.zeros((size, size))
-    for i, j, a, p in _waves(rng, 14, 7):
-        height += a * (1 - np.abs(np.sin(0.5 * (i * x + j * y) * 1.0 + p + 1.1 * warp)) ** 0.7) * (np.hypot(i, j) > 1)
-    height = cv2.GaussianBlur(np.tile(height, (3, 3)), (0, 0), 3)[size : 2 * size, size : 2 * size]
+    height = np.zeros((3 * size, 3 * size))
+    for count, length, width, tall in ((16, 0.55, 0.030, 1.0), (45, 0.28, 0.013, 0.45), (120, 0.12, 0.006, 0.16)):
+        layer = np.zeros_like(height)
+        for _ in range(count):
+            turn = np.pi / 2 + rng.normal(0, 0.55)
+            steps = np.linspace(-0.5, 0.5, 24)
+            bend = rng.normal(0, 0.25, 2)
+            angle = turn + bend[0] * 2 * steps + bend[1] * 8 * steps**2
+            path = np.cumsum(np.stack([np.cos(angle), np.sin(angle)], 1), axis=0) * length * rng.uniform(0.5, 1.2) / 24
+            path = (path - path.mean(0) + rng.uniform(0, 1, 2)) * size
+            strength = tall * rng.uniform(0.4, 1.0) * rng.choice([-0.6, 1.0])
+            fade = strength * np.cos(np.pi * steps) ** 0.7
+            for dx in (0, 1, 2):
+                for dy in (0, 1, 2):
+                    at = path + np.array([dx, dy]) * size
+                    if (at.max(0) < 0).any() or (at.min(0) > 3 * size).any():
+                        continue
+                    for (x0, y0), (x1, y1), value in zip(at, at[1:], fade[1:], strict=False):
+                        ends = (round(x0), round(y0)), (round(x1), round(y1))
+                        cv2.line(layer, *ends, float(value), max(1, round(width * size)))
+        height += cv2.GaussianBlur(layer, (0, 0), 0.55 * width * size)
+    height = height[size : 2 * size, size : 2 * size]
     height = (height - height.mean()) / height.std()
     slope = [np.roll(height, -1, axis) - np.roll(height, 1, axis) for axis in (1, 0)]
-    scale = 3.2 * np.std(slope)
-    return np.stack(
-        [*(np.clip(127.5 + 127.5 * s / scale, 0, 255) for s in slope), np.clip(127.5 - 70 * height, 0, 255)], -1
-    ).astype(np.uint8)
-
-
-def _waves(rng: np.random.Generator, count: int, highest: int) -> list[tuple[int, int, float, float]]:
-    """Frequencies, amplitude and phase of waves that fit a square."""
-    waves = []
-    for _ in range(count):
-        i, j = rng.integers(-highest, highest + 1, 2)
-        waves.append((2 * int(i), 2 * int(j), float(1 / (1 + np.hypot(i, j))), float(rng.uniform(0, 2 * np.pi))))
-    return waves
+    scale = 3.5 * np.std(slope)
+    planes = [*(np.clip(127.5 + 127.5 * s / scale, 0, 255) for s in slope), np.clip(100 - 70 * height, 0, 255)]
+    return np.stack(planes, -1).astype(np.uint8)
 
 
 @lru_cache(maxsize=1)
@@ -320,7 +457,7 @@ def strand_map(size: int = 256) -> np.ndarray:
         return rank / out.size
 
     fine, lock = smooth(0.9, 24), smooth(7, 40)
-    planes = [0.6 * fine + 0.4 * lock, 0.55 * smooth(1.0, 60) + 0.45 * lock, smooth(2, 20), smooth(9, 60)]
+    planes = [0.75 * fine + 0.25 * lock, 0.55 * smooth(1.0, 60) + 0.45 * lock, smooth(2, 20), smooth(9, 60)]
     return np.clip(255 * np.stack(planes, -1), 0, 255).astype(np.uint8)
 
 
@@ -384,7 +521,7 @@ class PeoplePass:
         brown, blue = (_flipless(asset.picture(f"eye_{name}")) for name in ("brown", "blue"))
         pictures = {
             "skin_map": skin, "eye_brown": brown, "eye_blue": blue, "brow": asset.picture("brow"),
-            "lash": asset.picture("lash"), "wrinkles": wrinkle_map(), "strands": strand_map(),
+            "wrinkles": wrinkle_map(), "strands": strand_map(),
         }  # fmt: skip
         self.textures = {name: self._texture(picture) for name, picture in pictures.items()}
         self._tile = lru_cache(maxsize=32)(lambda tile: self._texture(tile.picture))
@@ -496,6 +633,7 @@ class PeoplePass:
             self.ctx.disable(self.ctx.CULL_FACE)
             _set(self.programs["label_cloth"], "sleeve_from", spec.look.sleeve_from)
             loaded.draw("label_cloth", "cloth")
+            _set(self.programs["label_hair"], "hat_line", HAT_LINE_M if spec.look.hat else -UNCUT)
             self._use("label_hair", "strands", 2, self.textures["strands"])
             loaded.draw("label_hair", "hair")
             self.ctx.enable(self.ctx.CULL_FACE)
@@ -518,24 +656,21 @@ class PeoplePass:
             hair = self.programs["hair"]
             _set(hair, "hair_albedo", tuple(look.hair_albedo))
             _set(hair, "white", look.grey)
+            _set(hair, "hat_line", HAT_LINE_M if look.hat else -UNCUT)
             self._use("hair", "strands", 2, self.textures["strands"])
             loaded.draw("hair", "hair")
-            self._draw_cards(look, loaded)
+            self._draw_brows(look, loaded)
             self.ctx.enable(self.ctx.CULL_FACE)
 
-    def _draw_cards(self, look: PersonLook, loaded: _Loaded) -> None:
+    def _draw_brows(self, look: PersonLook, loaded: _Loaded) -> None:
         card = self.programs["card"]
         ctx = self.ctx
         ctx.enable(ctx.BLEND)
         ctx.blend_func = (ctx.SRC_ALPHA, ctx.ONE_MINUS_SRC_ALPHA, ctx.ZERO, ctx.ONE)
-        for part, albedo, strength in (
-            ("brow", 0.8 * look.hair_albedo, look.brow_strength * 1.3),
-            ("lash", np.full(3, 0.01), 1.2),
-        ):
-            _set(card, "card_albedo", tuple(albedo))
-            _set(card, "strength", strength)
-            self._use("card", "card_map", 2, self.textures[part])
-            loaded.draw("card", part)
+        _set(card, "card_albedo", tuple(0.8 * look.hair_albedo))
+        _set(card, "strength", 1.7 * look.brow_strength)
+        self._use("card", "card_map", 2, self.textures["brow"])
+        loaded.draw("card", "brow")
         ctx.disable(ctx.BLEND)
 
     def _use(self, program: str, sampler: str, unit: int, texture: Any) -> None:
@@ -556,6 +691,7 @@ class PeoplePass:
             skin, "detail", tuple(look.skin_detail * np.array([1.0 - 0.1 * dark, 1.0 - 0.3 * dark, 1.0 - 0.35 * dark]))
         )
         _set(skin, "roughness", look.skin_roughness)
+        _set(skin, "flushed", look.flushed)
         _set(skin, "stubble", look.stubble)
         _set(skin, "moustache", look.moustache)
         _set(skin, "scalp", 1.0 if look.hair else 0.75)
@@ -565,9 +701,10 @@ class PeoplePass:
     def _write_cloth(self, look: PersonLook) -> None:
         cloth = self.programs["cloth"]
         fabrics = [*look.clothes]
-        for colour in (look.lanyard, look.glasses, None):
-            plain = np.array([0.05, 0.045, 0.04]) if colour is None else colour
-            fabrics.append(Cloth(plain, plain, PLAIN, 0.01, 0.0, 0.0, 0.1, 0.5))
+        white = np.full(3, 0.7)
+        for colour, roughness in ((look.lanyard, 0.8), (look.glasses, 0.3), (look.hat_albedo, 0.9), (white, 0.4)):
+            plain = white if colour is None else colour
+            fabrics.append(Cloth(plain, plain, PLAIN, 0.01, 0.0, 0.0, 0.0, roughness))
         _set(cloth, "seed", tuple(look.seed))
         _set(cloth, "sleeve_from", look.sleeve_from)
         _set(cloth, "albedo", np.array([f.albedo for f in fabrics], np.float32).tobytes())

@@ -6,8 +6,8 @@ from typing import Final
 
 from twohands.synth.render.shaders import GRAIN, MAX_LIGHTS, NOISE, TONE
 
-FABRICS: Final = 8
-"""Fabrics that one person wears at most: `looks.ZONES`, then lanyard, glasses and hat."""
+FABRICS: Final = 9
+"""Fabrics that one person wears at most: `looks.ZONES`, then lanyard, glasses, hat and badge."""
 SHADOWS: Final = 2
 """Lamps that cast shadows."""
 
@@ -64,6 +64,7 @@ void cut_sleeve(float along) {
 """
 
 _STRANDS: Final = """
+uniform float hat_line;  // hair above this height at rest is under a hat
 uniform sampler2D strands;  // brightness of the strand, its length, tilt, coarse brightness
 
 // Leaves the gaps between strands of hair: look is place across, along, distance from the edge, card or cap.
@@ -71,7 +72,7 @@ vec4 strand(vec4 look) {
     vec4 fine = texture(strands, vec2(look.x * 9.0, look.y * 0.6));
     float end = look.w > 0.5 ? 1.25 * look.y - 0.35 : 0.0;
     float side = look.w > 0.5 ? 0.75 - 1.8 * look.z : 0.9 - 3.0 * look.z;
-    if (max(end, side) > fine.y) discard;
+    if (max(end, side) > fine.y || at_rest.y < hat_line) discard;
     return fine;
 }
 """
@@ -81,6 +82,7 @@ _LABEL: Final = """
 uniform vec2 shown;  // only labels from here to there
 flat in float label;
 in float depth;
+in vec3 at_rest;
 in vec4 look;
 layout(location = 0) out float part;
 layout(location = 1) out float z;
@@ -122,10 +124,7 @@ float passed(sampler2DShadow map, mat4 from, vec3 p) {{
     vec4 q = from * vec4(p, 1.0);
     vec3 c = q.xyz / q.w * 0.5 + 0.5;
     if (q.w < 0.0 || c.x < 0.01 || c.y < 0.01 || c.x > 0.99 || c.y > 0.99 || c.z > 1.0) return 1.0;
-    vec2 step = 1.1 / vec2(textureSize(map, 0));
-    vec2 a = step * vec2(1.0, 0.4), b = vec2(-a.y, a.x);
-    return 0.25 * (texture(map, vec3(c.xy + a, c.z)) + texture(map, vec3(c.xy - a, c.z))
-                 + texture(map, vec3(c.xy + b, c.z)) + texture(map, vec3(c.xy - b, c.z)));
+    return texture(map, c);
 }}
 
 // Share of every lamp that reaches a point with this normal.
@@ -155,7 +154,7 @@ SKIN_FRAGMENT: Final = f"""{_HEAD}
 uniform sampler2D skin_map;
 uniform vec3 mean, skin_albedo, palm_albedo, hair_albedo, lips;
 uniform vec3 detail;  // how much of the map shows in red, green, blue
-uniform float roughness, stubble, moustache, scalp, white;
+uniform float roughness, stubble, moustache, scalp, white, flushed;
 
 void main() {{
     vec3 v = normalize(-point), n = normalize(facing);
@@ -164,11 +163,12 @@ void main() {{
     vec3 shown = texture(skin_map, place).rgb;
     shown *= shown;
     vec3 ratio = clamp(shown / mean, 0.02, 3.0);
-    float red = smoothstep(1.25, 2.0, ratio.r / max(ratio.g, 0.02) );
+    float red = smoothstep(1.05, 1.5, ratio.r / max(ratio.g, 0.02));
     vec3 base = mix(skin_albedo, palm_albedo, look.x) * pow(ratio, detail);
     base *= mix(vec3(1.0), lips, red * step(0.5, also.x));
     float blotch = noise(at_rest * 38.0 + seed) - 0.5, grain = grains((at_rest + seed) * 700.0 + blotch * 8.0);
     base *= 1.0 + vec3(0.10, 0.16, 0.16) * blotch + 0.10 * grain;
+    base *= mix(vec3(1.0), vec3(1.08, 0.82, 0.80), clamp(look.y * (0.55 + 0.8 * blotch) * flushed, 0.0, 1.0));
     // Hair that is too short for a mesh: on the scalp, on chin, cheeks and lip.
     float coarse = noise(at_rest * 160.0 + seed);
     float short_hair = look.z * scalp * (0.80 + 0.2 * coarse);
@@ -240,7 +240,7 @@ vec3 woven(int z, vec2 at, vec3 rest) {{
     vec2 q = mat2(c, -s, s, c) * at / weave[z].y;
     float share = 0.0;
     if (kind < 0.5) share = 0.0;
-    else if (kind < 1.5) share = band(q.y, 0.22);
+    else if (kind < 1.5) share = band((weave[z].z > 0.5 ? at.x : look.y) / weave[z].y, 0.22);
     else if (kind < 2.5) share = 0.5 * (band(q.x, 0.25) + band(q.y, 0.25));
     else if (kind < 3.5) share = 0.35 * (band(q.x, 0.18) + band(q.y, 0.18))
                                + 0.3 * (band(q.x + 0.31, 0.025) + band(q.y + 0.31, 0.025));
@@ -271,10 +271,10 @@ void main() {{
     if (!gl_FrontFacing && dot(n, v) < 0.0) n = -n;
     float soft = finish[zone].x;
     vec2 at = place;
-    vec4 fold = texture(wrinkles, at * 2.3 + seed.xy);
-    vec4 fine = texture(wrinkles, at.yx * 6.1 + seed.yz);
+    vec4 fold = texture(wrinkles, at * 1.7 + seed.xy);
+    vec4 fine = texture(wrinkles, at.yx * 5.3 + seed.yz);
     mat3 frame = tangents(n, at);
-    vec2 slope = soft * (look.z * (fold.xy - 0.5) * 1.1 + 0.3 * (fine.xy - 0.5));
+    vec2 slope = soft * look.z * ((fold.xy - 0.5) * 2.0 + 0.3 * (fine.xy - 0.5));
     n = normalize(n - frame[0] * slope.x - frame[1] * slope.y);
     float towards = dot(n, v);
     if (towards < 0.05) n = normalize(n + (0.05 - towards) * v);
@@ -313,7 +313,7 @@ void main() {{
     mat3 frame = tangents(n, look.xy);
     vec3 t = normalize(frame[1] + 0.5 * (fine.z - 0.5) * frame[0] + 1e-4 * n);
     vec3 base = mix(hair_albedo, vec3(0.42, 0.41, 0.40), white * mix(0.55 + 0.6 * fine.x, 1.0, white * white));
-    base *= (0.35 + 1.1 * fine.x) * (0.75 + 0.5 * fine.w);
+    base *= (0.4 + 1.1 * fine.x) * (0.86 + 0.28 * fine.w);
     base *= 0.75 + 0.5 * smoothstep(0.0, 0.9, look.y) * (0.5 + dot(hair_albedo, vec3(0.5)));  // tips are lighter
     n = normalize(n + 0.45 * (fine.z - 0.5) * frame[0]);
     float open = also.y * (0.55 + 0.45 * fine.x);

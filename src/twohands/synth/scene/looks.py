@@ -54,10 +54,11 @@ class PersonLook:
         outfit, shoes: names in the asset.
         hair: name, or None for a shaved head.
         hat: name, or None.
-        brow, lash: names.
+        brow: name.
         skin_albedo, palm_albedo: (3,) linear RGB.
         skin_detail: 0.5 to 1.3, strength of what the photographic map shows.
         skin_roughness: 0.3 (moist) to 0.6.
+        flushed: 0 to 1.5, how much blood shows on cheeks, nose, ears and knuckles.
         hair_albedo: (3,).
         grey: 0..1 share of grey hairs.
         brow_strength: 0.4 to 1.
@@ -70,6 +71,7 @@ class PersonLook:
         sleeve_from: where sleeves end, see FULL.
         lanyard: (3,) its colour, or None.
         glasses: (3,) colour of the frame, or None.
+        hat_albedo: (3,).
         lens: (2,) half width and height of a lens in metres, of glasses.
         seed: (3,) offset into noise.
     """
@@ -79,11 +81,11 @@ class PersonLook:
     hair: str | None
     hat: str | None
     brow: str
-    lash: str | None
     skin_albedo: np.ndarray
     palm_albedo: np.ndarray
     skin_detail: float
     skin_roughness: float
+    flushed: float
     hair_albedo: np.ndarray
     grey: float
     brow_strength: float
@@ -96,6 +98,7 @@ class PersonLook:
     sleeve_from: float
     lanyard: np.ndarray | None
     glasses: np.ndarray | None
+    hat_albedo: np.ndarray
     lens: np.ndarray
     seed: np.ndarray
 

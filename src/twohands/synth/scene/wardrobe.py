@@ -34,8 +34,8 @@ TONES: Final = np.array(
         [0.29, 0.15, 0.088],
         [0.20, 0.10, 0.058],
         [0.12, 0.060, 0.037],
-        [0.072, 0.038, 0.026],
-        [0.045, 0.026, 0.020],
+        [0.085, 0.046, 0.031],
+        [0.060, 0.034, 0.025],
     ]
 )
 """Linear albedo of facial skin at the ten steps of the Monk scale, redder than the printed scale, as lit skin is."""
@@ -102,11 +102,11 @@ def sample_look(rng: np.random.Generator, someone: Someone, fabric: Fabric | Non
         hair=hair,
         hat=hat,
         brow=str(rng.choice(load_people().names("brow"))),
-        lash=None if male and rng.random() < 0.7 else str(rng.choice(load_people().names("lash"))),
         skin_albedo=skin,
         palm_albedo=palm,
-        skin_detail=rng.uniform(0.8, 1.25),
+        skin_detail=rng.uniform(0.9, 1.5),
         skin_roughness=rng.uniform(0.36, 0.6),
+        flushed=rng.uniform(0.2, 1.4),
         hair_albedo=albedo,
         grey=grey,
         brow_strength=rng.uniform(0.55, 1.0),
@@ -119,6 +119,7 @@ def sample_look(rng: np.random.Generator, someone: Someone, fabric: Fabric | Non
         sleeve_from=sleeve,
         lanyard=cloth_colour(rng) if rng.random() < 0.1 else None,
         glasses=(dark if rng.random() < 0.6 else cloth_colour(rng)) if rng.random() < 0.25 else None,
+        hat_albedo=cloth_colour(rng) * 0.6,
         lens=np.array([rng.uniform(0.022, 0.027), rng.uniform(0.015, 0.024)]),
         seed=rng.uniform(-50, 50, 3),
     )
@@ -155,7 +156,7 @@ def _hair(rng: np.random.Generator, male: bool, old: float) -> tuple[str | None,
             rng.choice([*short, "afro01", "bob02", "ponytail01"], p=[0.23, 0.23, 0.21, 0.21, 0.05, 0.04, 0.03])
         ), None
     names = ["long01", "bob01", "bob02", "braid01", "ponytail01", "afro01", *short]
-    return str(rng.choice(names, p=[0.22, 0.14, 0.14, 0.12, 0.14, 0.06, 0.045, 0.045, 0.045, 0.045])), None
+    return str(rng.choice(names, p=[0.24, 0.11, 0.10, 0.12, 0.19, 0.06, 0.045, 0.045, 0.045, 0.045])), None
 
 
 def _hair_colour(rng: np.random.Generator, someone: Someone, old: float) -> tuple[np.ndarray, float]:
@@ -171,7 +172,7 @@ def _hair_colour(rng: np.random.Generator, someone: Someone, old: float) -> tupl
         albedo = albedo * [1.9, 0.95, 0.6] + [0.02, 0, 0]
     if rng.random() < 0.03:
         albedo = cloth_colour(rng) * 0.7
-    return albedo, float(np.clip(rng.normal(old * 0.7 - 0.1, 0.25), 0, 1))
+    return albedo, float(np.clip(rng.normal(1.6 * old - 0.85, 0.25), 0, 1))
 
 
 def cloth_colour(rng: np.random.Generator) -> np.ndarray:
