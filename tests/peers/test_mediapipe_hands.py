@@ -40,12 +40,69 @@ solutions = Space(hands=Space(Hands=Hands))
 """
 
 
+TASKS_STAND_IN = {
+    "mediapipe/__init__.py": """
+from types import SimpleNamespace as Space
+__version__ = "9"
+ImageFormat = Space(SRGB=1)
+Image = lambda image_format, data: data
+""",
+    "mediapipe/tasks/__init__.py": "",
+    "mediapipe/tasks/python/__init__.py": """
+from types import SimpleNamespace as Space
+BaseOptions = lambda **options: Space(**options)
+""",
+    "mediapipe/tasks/python/vision.py": """
+import json
+from pathlib import Path
+from types import SimpleNamespace as Space
+RunningMode = Space(IMAGE="image", VIDEO="video")
+HandLandmarkerOptions = lambda **options: Space(**options)
+class HandLandmarker:
+    @staticmethod
+    def create_from_options(options):
+        if options.base_options.model_asset_buffer != b"model":
+            raise ValueError("no flatbuffer\\nin two lines")
+        landmarker = HandLandmarker()
+        landmarker.last = -1 if options.running_mode == "video" else None
+        return landmarker
+    def detect_for_video(self, image, time):
+        assert self.last is not None and time > self.last
+        self.last = time
+        return answer()
+    def detect(self, image):
+        assert self.last is None
+        return answer()
+def answer():
+    hands = json.loads((Path(__file__).parents[3] / "answer.json").read_text())
+    points = lambda key: [[Space(x=p[0], y=p[1], z=p[-1]) for p in hand[key]] for hand in hands]
+    sides = [[Space(category_name=hand["label"], score=hand["score"])] for hand in hands]
+    return Space(handedness=sides, hand_landmarks=points("joints"), hand_world_landmarks=points("world"))
+""",
+}
+
+
+@pytest.fixture
+def tasks_python(tmp_path: Path) -> Path:
+    """An interpreter whose mediapipe has the Tasks API alone; a model file beside it."""
+    for name, source in TASKS_STAND_IN.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(source)
+    (tmp_path / "hand_landmarker.task").write_bytes(b"model")
+    return interpreter(tmp_path)
+
+
 @pytest.fixture
 def python(tmp_path: Path) -> Path:
     """An interpreter whose mediapipe is the stand-in."""
     (tmp_path / "mediapipe.py").write_text(STAND_IN)
-    script = tmp_path / "python"
-    script.write_text(f'#!/bin/sh\nPYTHONPATH="{tmp_path}" exec "{sys.executable}" "$@"\n')
+    return interpreter(tmp_path)
+
+
+def interpreter(folder: Path) -> Path:
+    """A Python that finds its packages in a folder first."""
+    script = folder / "python"
+    script.write_text(f'#!/bin/sh\nPYTHONPATH="{folder}" exec "{sys.executable}" "$@"\n')
     os.chmod(script, 0o755)
     return script
 
@@ -102,6 +159,28 @@ def test_handedness_matched_or_own(python: Path, tmp_path: Path) -> None:
     assert errors["matched"] < 1e-2 and errors["own"] > 50
 
 
+@pytest.mark.parametrize("video", [False, True])
+def test_the_tasks_api_names_the_persons_own_hands(tasks_python: Path, tmp_path: Path, video: bool) -> None:
+    sample = drawn_hands(1)
+    answer(tmp_path, sample, {LEFT: "Left", RIGHT: "Right"})
+    model = tmp_path / "hand_landmarker.task"
+    with MediaPipeHands(tasks_python, handedness="own", placement="own-size", model=model, video=video) as peer:
+        report = report_of(peer, sample)
+        assert report_of(peer, sample)["cs_mpjpe"].value < 1e-2  # a second frame
+        assert "MediaPipe Hands 9 (tasks)" in peer.name and peer.settings["api"] == "tasks"
+    assert report["presence_accuracy"].value == 1 and report["cs_mpjpe"].value < 1e-2
+
+
+def test_the_tasks_api_needs_a_model(tasks_python: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"MediaPipe 9 brings no model; give one.*--mediapipe-model"):
+        MediaPipeHands(tasks_python)
+    with pytest.raises(InputError, match="no such model file"):
+        MediaPipeHands(tasks_python, model=tmp_path / "nothing.task")
+    (tmp_path / "bad.task").write_bytes(b"other")
+    with pytest.raises(InputError, match=r"bad.task: no flatbuffer in two lines"):
+        MediaPipeHands(tasks_python, model=tmp_path / "bad.task")
+
+
 def test_no_hand(python: Path, tmp_path: Path) -> None:
     sample = replace(drawn_hands(1), source="a")
     (tmp_path / "answer.json").write_text("[]")
@@ -113,7 +192,7 @@ def test_no_hand(python: Path, tmp_path: Path) -> None:
 def test_a_process_that_ends_between_two_pictures_is_an_error(tmp_path: Path) -> None:
     """Named case: closing its broken pipe replaced the error by one that means success to the command line."""
     script = tmp_path / "python"
-    line = json.dumps({"version": "0"})
+    line = json.dumps({"version": "0", "api": "legacy"})
     script.write_text(f"#!/bin/sh\necho '{line}'\n")
     os.chmod(script, 0o755)
     with pytest.raises(DataFormatError, match="process has ended"), MediaPipeHands(script) as peer:

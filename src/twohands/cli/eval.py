@@ -90,6 +90,8 @@ class System:
     """Measure another system instead of ours."""
     peer_python: Path | None = None
     """Interpreter of the environment that holds the peer (docs/evaluation.md)."""
+    mediapipe_model: Path | None = None
+    """Peer mediapipe: hand_landmarker.task, for its Tasks API; the legacy solution of 0.10.21 if not given."""
     handedness: Handedness = "matched"
     """Peer: which hand is which by its own word, or matched with the labels."""
     placement: Placement = "solver"
@@ -463,7 +465,12 @@ def _predict(dataset: OpenedDataset, system: System, count: int | None) -> Predi
             if system.truth:
                 raise InputError("--truth replaces stages of our pipeline; a peer has none of them")
             peer = stack.enter_context(
-                MediaPipeHands(system.peer_python, handedness=system.handedness, placement=system.placement)
+                MediaPipeHands(
+                    system.peer_python,
+                    handedness=system.handedness,
+                    placement=system.placement,
+                    model=system.mediapipe_model,
+                )
             )
             name, settings = peer.name, peer.settings
 

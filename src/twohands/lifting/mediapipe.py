@@ -30,11 +30,6 @@ from twohands.types import PinholeCamera
 Names = Literal["own", "mirrored"]
 """What a tracker's "Left" means: the person's left hand, or what would be it if the picture were mirrored."""
 
-BONE_RATIO: Final = 0.9
-"""MediaPipe's distance from wrist to middle knuckle beside our hand length. The length with which its joints give the
-true range is 0.92 of ours on 96 real crops of one hand (0.6 of whose length we take for ours), and 0.83 to 0.89 on
-rendered hands."""
-
 _LEGACY_JOINTS: Final = ("multi_hand_landmarks", "multiHandLandmarks")
 _JOINTS: Final = ("hand_landmarks", "landmarks", *_LEGACY_JOINTS)
 _WORLD: Final = (

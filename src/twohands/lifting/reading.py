@@ -23,6 +23,7 @@ from twohands.geometry.lifting import View
 from twohands.lifting import keypoints_2d, mano, mediapipe, own
 from twohands.lifting.foreign import ForeignFrame, ForeignHand, ForeignHands, field, is_list, numbers
 from twohands.lifting.mediapipe import Names
+from twohands.peers.mediapipe_hands import BONE_RATIO
 from twohands.types import PinholeCamera
 
 Kind = Literal["mediapipe", "mano", "mmpose", "openpose", "twohands"]
@@ -75,7 +76,7 @@ def _adapters(hints: Hints) -> tuple[_Adapter, ...]:
             "mediapipe",
             "MediaPipe Hands",
             "centred",
-            mediapipe.BONE_RATIO,
+            BONE_RATIO,
             mediapipe.is_frame,
             partial(mediapipe.hands, names=hints.names),
         ),

@@ -7,9 +7,11 @@ camera nor where the hand is. Two ways to a place in the camera frame are measur
   length that our pipeline is given;
 - "own-size": what its users do, PnP of the world joints at their own size, which needs no hand length.
 
-MediaPipe calls hands as in a mirrored (selfie) picture; ours are not mirrored, so its "Left" is the person's right.
-
-Source: MediaPipe Hands 0.10.21 (its last release with `mp.solutions.hands` before the removal in 0.10.30).
+Two of its programming interfaces are run: the legacy solution (`mp.solutions.hands`, last in 0.10.21, with its models
+inside), which names hands as in a mirrored picture, and the Tasks API (in 0.10.21 as in 1.2), which names the person's
+own and needs a model file, `hand_landmarker.task`. Such a file is a zip of two networks; those of the 0.10.21 wheel,
+`palm_detection_full.tflite` and `hand_landmark_full.tflite`, stored as `hand_detector.tflite` and
+`hand_landmarks_detector.tflite`, make one.
 """
 
 from __future__ import annotations
@@ -33,7 +35,11 @@ from twohands.skeleton import LEFT, RIGHT
 from twohands.types import HandPose, HandSample, PinholeCamera, TwoHandPose
 
 Placement = Literal["solver", "own-size"]
-_SIDE_OF_LABEL: Final = {"Left": RIGHT, "Right": LEFT}
+_SIDE_OF_LABEL: Final = {"Left": LEFT, "Right": RIGHT}
+BONE_RATIO: Final = 0.9
+"""MediaPipe's distance from wrist to middle knuckle beside our hand length. The length with which its joints give the
+true range is 0.92 of ours on 96 real crops of one hand (0.6 of whose length we take for ours), and 0.83 to 0.89 on
+rendered hands."""
 _WORKER: Final = Path(__file__).with_name("mediapipe_worker.py")
 
 
@@ -45,11 +51,13 @@ class MediaPipeHands:
             before 2.0 and brings another OpenCV, so that it is best kept apart.
         handedness: whose word counts on which hand is which.
         placement: how its hands get their place.
-        complexity: model 0 (lite) or 1 (full).
+        complexity: model 0 (lite) or 1 (full), of the legacy solution.
         confidence: least detection confidence.
+        video: whether pictures are the frames of one video, in which it follows hands; else each is looked at afresh.
+        model: file of the Tasks API; None for the legacy solution.
 
     Raises:
-        InputError: no such interpreter, or it has no mediapipe.
+        InputError: no such interpreter, it has no mediapipe, or mediapipe no usable model.
     """
 
     def __init__(
@@ -60,17 +68,22 @@ class MediaPipeHands:
         placement: Placement = "solver",
         complexity: int = 1,
         confidence: float = 0.5,
+        video: bool = False,
+        model: str | Path | None = None,
     ) -> None:
         self._handedness: Handedness = handedness
         self._placement: Placement = placement
-        self._model = {"complexity": complexity, "confidence": confidence}
+        self._model = {"complexity": complexity, "confidence": confidence, "video": video}
+        if model is not None and not Path(model).is_file():
+            raise InputError(f"{model}: no such model file")
+        settings = self._model | {"model": None if model is None else str(Path(model).absolute())}
         interpreter = str(python or sys.executable)
         if Path(interpreter).is_file():  # else it is looked for along PATH
             interpreter = str(Path(interpreter).absolute())
         environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
         try:
             self._process = subprocess.Popen(
-                [interpreter, str(_WORKER), str(complexity), str(confidence)],
+                [interpreter, str(_WORKER), json.dumps(settings)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
@@ -79,7 +92,16 @@ class MediaPipeHands:
         except OSError as error:
             raise InputError(f"{interpreter}: cannot be run ({error.strerror})") from None
         try:
-            self._version = str(self._answer()["version"])
+            first = self._answer()
+            if isinstance(first, dict) and first.get("what") == "model":
+                raise InputError(
+                    f"{first['error']}; --mediapipe-model FILE names it: the official hand_landmarker.task, or a zip "
+                    "of the two networks in the wheel of mediapipe 0.10.21 (docs/evaluation.md)"
+                )
+            self._version, self._api = str(first["version"]), str(first["api"])
+        except InputError:
+            self.close()
+            raise
         except (DataFormatError, KeyError, TypeError):
             self.close()
             raise InputError(
@@ -107,16 +129,22 @@ class MediaPipeHands:
             self._process.stdout.close()
 
     @property
+    def version(self) -> str:
+        """MediaPipe's version, and the API that is used."""
+        return f"{self._version} ({self._api})" if self._api == "tasks" else self._version
+
+    @property
     def name(self) -> str:
         """Name, version, and how it was placed."""
         place = "our solver" if self._placement == "solver" else "own size"
-        return f"MediaPipe Hands {self._version} ({place}, {self._handedness} handedness)"
+        return f"MediaPipe Hands {self.version} ({place}, {self._handedness} handedness)"
 
     @property
     def settings(self) -> dict[str, Any]:
         """Everything needed to repeat the run."""
         return {
             **self._model,
+            "api": self._api,
             "handedness": self._handedness,
             "labels_used": ["hand length"] * (self._placement == "solver")
             + ["2D joints, to tell left from right"] * (self._handedness == "matched"),
