@@ -36,11 +36,14 @@ from twohands.evaluation.report import format_number
 from twohands.evaluation.summary import markdown_table
 from twohands.geometry.projection import Method, project_global, range_weights
 from twohands.inference.budget import STUDIES
+from twohands.inference.decision import PictureView
 from twohands.inference.engine import Networks, load_networks
-from twohands.inference.estimator import NO_TRUTH, RAY_SHARE, SECOND_LOOK_IOU, HandEstimator, StageTruth
+from twohands.inference.estimator import HandEstimator
 from twohands.inference.ground_truth import HeatmapTargets, TruthfulEstimator
+from twohands.inference.keypoints import read_out
 from twohands.inference.smoothing_sweep import smoothing_sweep
-from twohands.inference.weights import DEFAULT_PRESET, PictureLook, WeightsCard, preset_folder, read_card, weights_id
+from twohands.inference.stages import Stages
+from twohands.inference.weights import DEFAULT_PRESET, WeightsCard, preset_folder, read_card, weights_id
 from twohands.types import GlobalPose, HandCrop, HandSample, PinholeCamera, TwoHandPose
 
 Estimate = Callable[[HandSample], TwoHandPose]
@@ -160,28 +163,23 @@ class Memory:
         return call
 
 
-class OtherReadOut(HandEstimator):
-    """Joints are read from the maps by another rule; their scores, by which the range is solved, as the card says.
+def reading(networks: Networks, card: WeightsCard, decoder: str) -> HandEstimator:
+    """A pipeline that reads joints from the maps by another rule; their scores, by which the range is solved, as the
+    card says.
 
     Args:
         networks, card: as `HandEstimator`.
         decoder: "subpixel" or "softargmax", as in a card, or "argmax": the centre of the highest cell.
     """
+    plain, peaks_only = Stages.of(networks, card), decoder == "argmax"
+    other = dataclasses.replace(card, heatmap_decode="softargmax" if peaks_only else decoder)
 
-    def __init__(self, networks: Networks, card: WeightsCard, decoder: str) -> None:
-        super().__init__(networks, card)
-        self._peaks_only = decoder == "argmax"
-        rule = "softargmax" if self._peaks_only else decoder
-        self._reader = HandEstimator(networks, dataclasses.replace(card, heatmap_decode=rule))
-
-    def read_out(
-        self, heatmaps: np.ndarray, crops: list[HandCrop], truth: StageTruth = NO_TRUTH
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """As `HandEstimator.read_out`."""
-        _, scores = super().read_out(heatmaps, crops, truth)
-        maps = highest_cells(heatmaps) if self._peaks_only else heatmaps
-        joints_px, _ = self._reader.read_out(maps, crops, truth)
+    def read(heatmaps: np.ndarray, crops: list[HandCrop]) -> tuple[np.ndarray, np.ndarray]:
+        _, scores = plain.read_out(heatmaps, crops)
+        joints_px, _ = read_out(other, highest_cells(heatmaps) if peaks_only else heatmaps, crops)
         return joints_px, scores
+
+    return HandEstimator(networks, card, dataclasses.replace(plain, read_out=read))
 
 
 def highest_cells(maps: np.ndarray) -> np.ndarray:
@@ -192,8 +190,8 @@ def highest_cells(maps: np.ndarray) -> np.ndarray:
     return only.reshape(maps.shape)
 
 
-class OtherSolver(HandEstimator):
-    """The root is placed by another method.
+def solving(networks: Networks, card: WeightsCard, method: Method, *, weighted: bool = False) -> HandEstimator:
+    """A pipeline that places the root by another method.
 
     Args:
         networks, card: as `HandEstimator`.
@@ -201,43 +199,33 @@ class OtherSolver(HandEstimator):
         weighted: whether the joints count as in the pipeline; else all alike.
     """
 
-    def __init__(self, networks: Networks, card: WeightsCard, method: Method, *, weighted: bool = False) -> None:
-        super().__init__(networks, card)
-        self._method: Method = method
-        self._weighted = weighted
-
     def place(
-        self,
         canonical: np.ndarray,
         joints_px: np.ndarray,
         joint_scores: np.ndarray,
         camera: PinholeCamera,
         lengths_m: np.ndarray,
     ) -> GlobalPose:
-        """As `HandEstimator.place`."""
-        weights = range_weights(joint_scores) if self._weighted else None
-        return project_global(canonical, joints_px, camera, lengths_m, method=self._method, weights=weights)
+        weights = range_weights(joint_scores) if weighted else None
+        return project_global(canonical, joints_px, camera, lengths_m, method=method, weights=weights)
+
+    return HandEstimator(networks, card, dataclasses.replace(Stages.of(networks, card), place=place))
 
 
-def looking(
-    networks: Networks, card: WeightsCard, *, second_look_iou: float = SECOND_LOOK_IOU, **rules: Any
-) -> HandEstimator:
-    """A pipeline that looks again by other rules: its own, and those of the card."""
-    estimator = HandEstimator(networks, dataclasses.replace(card, **rules))
-    estimator.second_look_iou = second_look_iou
-    return estimator
+def viewing(networks: Networks, card: WeightsCard, **rules: Any) -> HandEstimator:
+    """A pipeline that sees pictures and hands otherwise: fields of `ViewConfig`."""
+    return HandEstimator(networks, dataclasses.replace(card, views=dataclasses.replace(card.views, **rules)))
 
 
-def drawing(networks: Networks, card: WeightsCard, ray_share: float) -> HandEstimator:
-    """A pipeline that draws joints farther to where they are seen, or less far."""
-    estimator = HandEstimator(networks, card)
-    estimator.ray_share = ray_share
-    return estimator
+def pulling(networks: Networks, card: WeightsCard, ray_share: float) -> HandEstimator:
+    """A pipeline that pulls joints farther to where they are seen, or less far."""
+    placement = dataclasses.replace(card.placement, ray_share=ray_share)
+    return HandEstimator(networks, dataclasses.replace(card, placement=placement))
 
 
-def in_words(looks: Sequence[PictureLook]) -> str:
-    """HandSegNet's further looks, for a reader."""
-    sizes = (f"{look.size[0]}x{look.size[1]}{', mirrored' if look.mirrored else ''}" for look in looks)
+def in_words(views: Sequence[PictureView]) -> str:
+    """HandSegNet's further views, for a reader."""
+    sizes = (f"{view.size[0]}x{view.size[1]}{', mirrored' if view.mirrored else ''}" for view in views)
     return "; ".join(sizes) or "none"
 
 
@@ -257,19 +245,20 @@ def ablations(complete: TruthfulEstimator, floating: Networks | None) -> list[Ab
         floating: its networks in floating point, where they are shipped in 8 bits.
     """
     networks, card = complete.estimator.networks, complete.estimator.card
-    accurate_looks = read_card(preset_folder("accurate")).further_looks
+    views, accurate_views = card.views, read_card(preset_folder("accurate")).views.tta_views
+    low, high = views.tta_score_range
 
     def read_by(decoder: str) -> Estimate:
-        return complete if decoder == card.heatmap_decode else TruthfulEstimator(OtherReadOut(networks, card, decoder))
+        return complete if decoder == card.heatmap_decode else TruthfulEstimator(reading(networks, card, decoder))
 
-    as_projected = dataclasses.replace(card, range_errors=None)
+    as_projected = dataclasses.replace(card, placement=dataclasses.replace(card.placement, range_errors=None))
     places: dict[str, Estimate] = {
-        "key bone": TruthfulEstimator(OtherSolver(networks, as_projected, "keybone")),
-        "all joints alike": TruthfulEstimator(OtherSolver(networks, as_projected, "all-joints")),
-        "all joints, weighted": TruthfulEstimator(OtherSolver(networks, as_projected, "all-joints", weighted=True)),
+        "key bone": TruthfulEstimator(solving(networks, as_projected, "keybone")),
+        "all joints alike": TruthfulEstimator(solving(networks, as_projected, "all-joints")),
+        "all joints, weighted": TruthfulEstimator(solving(networks, as_projected, "all-joints", weighted=True)),
         "fitted": complete,
     }
-    if card.range_errors is not None:
+    if card.placement.range_errors is not None:
         places["fitted"] = TruthfulEstimator(HandEstimator(networks, as_projected))
         places["fitted, the likely range"] = complete
 
@@ -292,29 +281,29 @@ def ablations(complete: TruthfulEstimator, floating: Networks | None) -> list[Ab
             "Joints drawn to their lines of sight",
             "Ours: PoseNet2D's joints correct PoseNet3D's across the line of sight, by so much. The paper: not at all.",
             {
-                "0": TruthfulEstimator(drawing(networks, card, 0.0)),
-                f"{RAY_SHARE:g}": complete,
-                "1": TruthfulEstimator(drawing(networks, card, 1.0)),
+                "0": TruthfulEstimator(pulling(networks, card, 0.0)),
+                f"{card.placement.ray_share:g}": complete,
+                "1": TruthfulEstimator(pulling(networks, card, 1.0)),
             },
         ),
         Ablation(
             "Second look",
             "Ours: PoseNet2D looks again where HandSegNet's box and that of the joints differ. The paper looks once.",
             {
-                "never": TruthfulEstimator(looking(networks, card, second_look_iou=0.0)),
-                f"overlap below {SECOND_LOOK_IOU:g}": complete,
-                "always": TruthfulEstimator(looking(networks, card, second_look_iou=math.inf)),
+                "never": TruthfulEstimator(viewing(networks, card, recrop_below_iou=0.0)),
+                f"overlap below {views.recrop_below_iou:g}": complete,
+                "always": TruthfulEstimator(viewing(networks, card, recrop_below_iou=math.inf)),
             },
         ),
         Ablation(
             "More looks at the picture",
             "Ours: in doubt, HandSegNet looks at the picture again. The paper looks once.",
             {
-                "never": TruthfulEstimator(looking(networks, card, further_looks=())),
-                f"a score between {card.doubt[0]:g} and {card.doubt[1]:g}: {in_words(card.further_looks)}": complete,
-                "always: the same": TruthfulEstimator(looking(networks, card, doubt=ALWAYS)),
-                f"always: {in_words(accurate_looks)}": TruthfulEstimator(
-                    looking(networks, card, doubt=ALWAYS, further_looks=accurate_looks)
+                "never": TruthfulEstimator(viewing(networks, card, tta_views=())),
+                f"a score between {low:g} and {high:g}: {in_words(views.tta_views)}": complete,
+                "always: the same": TruthfulEstimator(viewing(networks, card, tta_score_range=ALWAYS)),
+                f"always: {in_words(accurate_views)}": TruthfulEstimator(
+                    viewing(networks, card, tta_score_range=ALWAYS, tta_views=accurate_views)
                 ),
             },
         ),
@@ -323,14 +312,14 @@ def ablations(complete: TruthfulEstimator, floating: Networks | None) -> list[Ab
             "By the pose networks, as cameras see it that are rolled so far; the median counts. The paper looks once.",
             {
                 name: complete
-                if rolls == card.rolls_deg
-                else TruthfulEstimator(looking(networks, card, rolls_deg=rolls))
+                if rolls == views.tta_rolls_deg
+                else TruthfulEstimator(viewing(networks, card, tta_rolls_deg=rolls))
                 for name, rolls in ROLLS.items()
             },
         ),
     ]
-    if card.judge:
-        silent = HandEstimator(networks, dataclasses.replace(card, judge=False))
+    if card.hand_logit:
+        silent = HandEstimator(networks, dataclasses.replace(card, hand_logit=False))
         found.append(
             Ablation(
                 "Judge",

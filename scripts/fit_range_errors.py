@@ -1,4 +1,4 @@
-"""Fits the `range_errors` of a preset's card (`inference.range_prior`) to labelled pictures that it was not trained on.
+"""Fits the `range_errors` of a preset's card (`inference.placement`) to labelled pictures that it was not trained on.
 
     python scripts/fit_range_errors.py src/twohands/weights/fast --data HELD_OUT HELD_OUT_2
 
@@ -18,8 +18,9 @@ import numpy as np
 
 from twohands.datasets.opening import open_dataset
 from twohands.errors import InputError, TwoHandsError
+from twohands.inference.decision import PlacementConfig
 from twohands.inference.estimator import HandEstimator
-from twohands.inference.range_prior import likely_ranges
+from twohands.inference.placement import posterior_ranges
 from twohands.skeleton import N_JOINTS, ROOT, WRIST
 from twohands.types import HandSample
 
@@ -48,8 +49,9 @@ def main() -> int:
     parser.add_argument("--data", nargs="+", required=True, help="folders of labelled pictures")
     options = parser.parse_args()
     try:
-        estimator = HandEstimator.from_preset(options.preset)
-        estimator.card = dataclasses.replace(estimator.card, range_errors=None)
+        shipped = HandEstimator.from_preset(options.preset)
+        config = dataclasses.replace(shipped.card.placement, range_errors=None)
+        estimator = HandEstimator(shipped.networks, dataclasses.replace(shipped.card, placement=config))
         found = [ranges_in(estimator, sample) for folder in options.data for sample in open_dataset(folder).samples]
         errors = fitted([one for one in found if np.isfinite(one.true).any()])
     except TwoHandsError as error:
@@ -77,8 +79,8 @@ def ranges_in(estimator: HandEstimator, sample: HandSample) -> Ranges:
 
 
 def likely(found: Ranges, errors: tuple[float, float] | None) -> np.ndarray:
-    """(B,) metres: `likely_ranges`, or as estimated."""
-    return found.estimated if errors is None else likely_ranges(found.estimated, found.scores, errors)
+    """(B,) metres: `posterior_ranges`, or as estimated."""
+    return posterior_ranges(found.estimated, found.scores, PlacementConfig(range_errors=errors))
 
 
 def fitted(found: Sequence[Ranges]) -> tuple[float, float]:

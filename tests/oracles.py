@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -12,10 +13,14 @@ from twohands.geometry.boxes import apply_homography, box_from_points
 from twohands.geometry.canonical import canonical_from_camera
 from twohands.geometry.heatmaps import encode_energy, encode_heatmaps
 from twohands.geometry.segmentation import network_input
+from twohands.inference.decision import PictureView, PlacementConfig, ViewConfig
 from twohands.inference.engine import Networks
-from twohands.inference.estimator import HandEstimator, StageTruth
-from twohands.inference.weights import PictureLook, WeightsCard
+from twohands.inference.estimator import HandEstimator
+from twohands.inference.stages import StageTruth
+from twohands.inference.weights import WeightsCard
 from twohands.types import HandCrop, HandSample
+
+CONFIGS = {"views": ViewConfig, "placement": PlacementConfig}
 
 
 def drawn_hands(seed: int, **options) -> HandSample:
@@ -24,7 +29,7 @@ def drawn_hands(seed: int, **options) -> HandSample:
 
 
 def make_card(**changes) -> WeightsCard:
-    """A card for small maps."""
+    """A card for small maps; `changes` are fields of `WeightsCard`, `ViewConfig` or `PlacementConfig`."""
     values = {
         "name": "oracle",
         "seg_input_size": (135, 240),
@@ -32,9 +37,18 @@ def make_card(**changes) -> WeightsCard:
         "crop_kind": "perspective",
         "crop_margin": 1.5,
         "heatmap_decode": "subpixel",
-        "further_looks": (PictureLook((135, 240), mirrored=True),),
+        "views": {"tta_views": (PictureView((135, 240), mirrored=True),)},
+        "placement": {},
     }
-    return WeightsCard(**(values | changes))
+    for name, value in changes.items():
+        section = next((key for key, kind in CONFIGS.items() if name in kind.__dataclass_fields__), None)
+        (values if section is None else values[section])[name] = value
+    return WeightsCard(**(values | {key: kind(**values[key]) for key, kind in CONFIGS.items()}))
+
+
+def restaged(estimator: HandEstimator, **stages) -> HandEstimator:
+    """The same estimator with other stages, fields of `Stages`."""
+    return HandEstimator(estimator.networks, estimator.card, dataclasses.replace(estimator.stages, **stages))
 
 
 def hand_masks(sample: HandSample) -> np.ndarray:
@@ -106,7 +120,7 @@ class Oracle:
         masks, boxes = estimator.segment(self.sample.image)
         self.calls.pop()
         crops = [
-            estimator.crop(self.sample.image, masks, boxes.boxes_px[side], side, self.sample.camera)
+            estimator.stages.crop(self.sample.image, masks, boxes.boxes_px[side], side, self.sample.camera)
             for side in np.flatnonzero(self.sample.present)
         ]
         np.testing.assert_array_equal(batch, network_input(np.stack([crop.image for crop in crops])))
@@ -209,7 +223,7 @@ def write_tiny_weights(folder: Path, *, crop_size: int = 32, map_size: int = 8, 
         ],
     )
     card = {
-        "version": 1,
+        "version": 2,
         "name": "tiny",
         "hand_seg_net": {"input_size": [height, width]},
         "pose_net_2d": {

@@ -19,8 +19,9 @@ if TYPE_CHECKING:
     from twohands.errors import TwoHandsError
     from twohands.formats.camera_files import read_camera
     from twohands.geometry.lifting import lift
-    from twohands.inference.estimator import HandEstimator, StageTruth
+    from twohands.inference.estimator import HandEstimator
     from twohands.inference.sources import read_image
+    from twohands.inference.stages import StageTruth
     from twohands.inference.tracker import HandTracker
     from twohands.lifting.placing import lift_hands
     from twohands.types import HandPose, PinholeCamera, TwoHandPose
@@ -34,7 +35,7 @@ _HOME = {
     "HandPose": "twohands.types",
     "HandTracker": "twohands.inference.tracker",
     "PinholeCamera": "twohands.types",
-    "StageTruth": "twohands.inference.estimator",
+    "StageTruth": "twohands.inference.stages",
     "TwoHandPose": "twohands.types",
     "TwoHandsError": "twohands.errors",
     "draw_overlay": "twohands.visualization.overlay",

@@ -11,6 +11,7 @@ from tests.oracles import write_tiny_weights
 from twohands.cli.main import main
 from twohands.errors import InputError
 from twohands.evaluation.summary import Summary
+from twohands.inference.weights import read_card
 
 ALL_STAGES = ["presence", "masks", "boxes", "joints-2d", "heatmaps", "canonical"]
 
@@ -44,7 +45,11 @@ def test_ground_truth_in_every_stage_gives_perfect_scores(data: Path, weights: P
     for key in ("epe_2d_mean", "epe_3d_spherical_mean", "range_median", "cs_mpjpe", "mrrpe", "missed"):
         assert metrics[key]["value"] == pytest.approx(0, abs=1e-3), key
     assert metrics["epe_2d_mean"]["count"] == 3
-    assert json.loads(report.read_text())["settings"]["truth"] == ALL_STAGES
+    settings = json.loads(report.read_text())["settings"]
+    assert settings["truth"] == ALL_STAGES
+    assert {name: settings["card"][name] for name in ("views", "decision", "placement")} == json.loads(
+        json.dumps(read_card(weights).settings())
+    )
 
 
 def test_predict_then_score_equals_run(

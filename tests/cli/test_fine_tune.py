@@ -66,7 +66,7 @@ def test_from_a_camera_file_to_tracked_pictures(camera, tmp_path, capsys):
     assert "weights written to" in capsys.readouterr().out
     card = json.loads((out / "card.json").read_text())
     assert card["name"] == "mine" and card["fine_tuned_from"] == "fast"
-    assert card["range_errors"] == [0.046, 0.143]
+    assert card["placement"]["range_errors"] == [0.046, 0.143]
     assert set(card["int8"]) == {"hand_seg_net", "pose_net_2d"}
     assert card["training"]["pose_net_3d"]["iterations"] == 2
     assert str(tmp_path) not in (out / "card.json").read_text()

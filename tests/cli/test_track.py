@@ -14,7 +14,7 @@ from twohands.cli import demo, track
 from twohands.cli.main import main
 from twohands.errors import InputError
 from twohands.inference.records import from_dict
-from twohands.inference.weights import preset_names
+from twohands.inference.weights import preset_names, read_card
 
 pytest.importorskip("matplotlib")
 SIZE = (160, 96)
@@ -53,6 +53,7 @@ def test_one_image(picture, weights, tmp_path, capsys):
     record = json.loads((out / "hands.json").read_text())
     assert (record["version"], record["source"], record["weights"]) == (1, str(picture), "tiny")
     assert (record["hand_length_m"], record["frames"][0]["file"]) == (0.09, "hands.png")
+    assert record["config"] == json.loads(json.dumps(read_card(Path(weights)).settings()))
     camera = record["frames"][0]["camera"]
     assert camera == {"fx": 80.0, "fy": 80.0, "cx": 80.0, "cy": 48.0, "width": 160, "height": 96}
     left = record["frames"][0]["hands"]["left"]

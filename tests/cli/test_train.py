@@ -128,10 +128,11 @@ def test_export_refuses_a_full_folder_and_missing_weights(tmp_path):
 
 
 def test_the_segmentation_of_a_preset_is_that_of_the_pipeline(tmp_path):
-    """A single look of it. The same file without its card is opened by torch and answers nearly alike."""
+    """A single view of it. The same file without its card is opened by torch and answers nearly alike."""
     preset = preset_folder(DEFAULT_PRESET)
     shipped = HandEstimator.from_preset(preset)
-    estimator = HandEstimator(shipped.networks, dataclasses.replace(shipped.card, further_looks=()))
+    one_view = dataclasses.replace(shipped.card.views, tta_views=())
+    estimator = HandEstimator(shipped.networks, dataclasses.replace(shipped.card, views=one_view))
     shutil.copy(preset / "hand_seg_net.onnx", tmp_path)
     image = read_image(list_images(examples_folder())[1])  # with both hands
     masks, boxes = estimator.segment(image)

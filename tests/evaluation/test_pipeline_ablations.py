@@ -19,7 +19,7 @@ from twohands.inference.budget import STUDIES, solved_again
 from twohands.inference.engine import Networks
 from twohands.inference.estimator import HandEstimator
 from twohands.inference.ground_truth import HeatmapTargets, TruthfulEstimator
-from twohands.inference.read_out import read_joints
+from twohands.inference.keypoints import read_joints
 from twohands.inference.tracker import moved_to_range
 from twohands.skeleton import ROOT, WRIST
 from twohands.types import HandCrop, TwoHandPose
@@ -77,8 +77,8 @@ def test_the_mean_of_a_highest_cell_alone_is_its_centre():
 @pytest.mark.parametrize("decoder", ["argmax", "subpixel", "softargmax"])
 def test_another_read_out_keeps_the_scores(own, decoder):
     card, maps = make_card(heatmap_decode=own), blobs()
-    own_px, scores = HandEstimator(UNUSED, card).read_out(maps, CROPS)
-    joints_px, same_scores = pa.OtherReadOut(UNUSED, card, decoder).read_out(maps, CROPS)
+    own_px, scores = HandEstimator(UNUSED, card).stages.read_out(maps, CROPS)
+    joints_px, same_scores = pa.reading(UNUSED, card, decoder).stages.read_out(maps, CROPS)
     cells = decode_argmax(maps)[0] if decoder == "argmax" else read_joints(maps, decoder)[0]
     np.testing.assert_allclose(joints_px, 4 * cells)  # 128 pixels, 32 cells
     np.testing.assert_array_equal(same_scores, scores)
@@ -88,16 +88,16 @@ def test_another_read_out_keeps_the_scores(own, decoder):
 @pytest.mark.parametrize("method", ["keybone", "all-joints", "fitted"])
 def test_another_solver_is_exact_too_and_takes_no_weights(method):
     sample = drawn_hands(1)
-    solver, truth = pa.OtherSolver(UNUSED, CARD, method), full_truth(sample)
+    solver, truth = pa.solving(UNUSED, CARD, method), full_truth(sample)
     for side, hand in enumerate(solver.estimate(sample.image, sample.camera, 0.1, truth).hands):
         np.testing.assert_allclose(hand.joints_m, sample.joints_m[side], atol=1e-9)
     noisy_px = sample.joints_px + np.random.default_rng(0).normal(0, 2, (2, 21, 2))
     radii = [
-        solver.place(truth.canonical, noisy_px, scores, sample.camera, hand_lengths_m(sample)).radius_m
+        solver.stages.place(truth.canonical, noisy_px, scores, sample.camera, hand_lengths_m(sample)).radius_m
         for scores in (np.ones((2, 21)), np.random.default_rng(1).random((2, 21)))
     ]
     np.testing.assert_array_equal(*radii)
-    weighted = HandEstimator(UNUSED, CARD).place(
+    weighted = HandEstimator(UNUSED, CARD).stages.place(
         truth.canonical, noisy_px, np.ones((2, 21)), sample.camera, hand_lengths_m(sample)
     )
     assert (np.abs(radii[0] - weighted.radius_m) > 1e-4).all()
@@ -122,7 +122,7 @@ def test_the_key_bone_is_that_of_the_error_budget():
         np.array([hand_lengths_m(sample) for sample in samples]),
         "keybone",
     )
-    key_bone = predictions(pa.OtherSolver(UNUSED, CARD, "keybone"))
+    key_bone = predictions(pa.solving(UNUSED, CARD, "keybone"))
     np.testing.assert_allclose(key_bone.joints_m, again.joints_m, atol=1e-12)
 
 
@@ -138,7 +138,7 @@ def test_drawn_all_the_way_the_joints_are_seen_where_posenet2d_says():
 
     for share in (0.0, 1.0):
         networks = dataclasses.replace(oracle.estimator.networks, pose_net_3d=doubtful)
-        hands = pa.drawing(networks, CARD, share).estimate(sample.image, sample.camera).hands
+        hands = pa.pulling(networks, CARD, share).estimate(sample.image, sample.camera).hands
         apart.append([np.abs(project(hand.joints_m, sample.camera) - hand.joints_px)[drawn].max() for hand in hands])
     assert min(apart[0]) > 1 and max(apart[1]) < 0.5  # pixels; the joints' scores are just below 1
 
@@ -155,7 +155,7 @@ def test_looks_at_a_picture(tmp_path):
     networks, sample = dataclasses.replace(shipped.networks, pose_net_2d=pose_net_2d), make_samples(1)[0]
     for below, expected in ((0.0, [2]), (math.inf, [2, 2])):
         looks.clear()
-        pa.looking(networks, shipped.card, second_look_iou=below).estimate(sample.image, sample.camera)
+        pa.viewing(networks, shipped.card, recrop_below_iou=below).estimate(sample.image, sample.camera)
         assert looks == expected
 
 
@@ -168,9 +168,9 @@ def test_looks_at_the_mirror_image(tmp_path):
         return shipped.networks.hand_seg_net(batch)
 
     networks, sample = dataclasses.replace(shipped.networks, hand_seg_net=hand_seg_net), make_samples(1)[0]
-    for doubt, looks in (((math.inf, -math.inf), 1), ((-math.inf, math.inf), 2)):
+    for scores, looks in (((math.inf, -math.inf), 1), ((-math.inf, math.inf), 2)):
         seen.clear()
-        pa.looking(networks, shipped.card, doubt=doubt).estimate(sample.image, sample.camera)
+        pa.viewing(networks, shipped.card, tta_score_range=scores).estimate(sample.image, sample.camera)
         assert len(seen) == looks
     np.testing.assert_array_equal(seen[1], seen[0][..., ::-1])
 
@@ -184,13 +184,13 @@ def test_tables_are_left_out_where_the_weights_do_not_have_it():
     looks = ["Second look", "More looks at the picture", "More looks at a hand"]
     always = ["Read-out of the heatmaps", "The root's place", "Joints drawn to their lines of sight", *looks]
     assert titles(CARD) == always
-    assert titles(make_card(judge=True)) == [*always, "Judge"]
+    assert titles(make_card(hand_logit=True)) == [*always, "Judge"]
     assert titles(CARD, dataclasses.replace(UNUSED, runtime="float")) == [*always, "Arithmetic"]
 
 
 @pytest.mark.parametrize("own", ["subpixel", "softargmax"])
 def test_every_table_has_the_pipeline_as_it_is_once(own):
-    complete = TruthfulEstimator(HandEstimator(UNUSED, make_card(heatmap_decode=own, judge=True)))
+    complete = TruthfulEstimator(HandEstimator(UNUSED, make_card(heatmap_decode=own, hand_logit=True)))
     found = pa.ablations(complete, dataclasses.replace(UNUSED, runtime="float"))
     studies = pa.isolated(complete, HeatmapTargets())
     for variants in (*(ablation.variants for ablation in found), studies):

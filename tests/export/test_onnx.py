@@ -212,7 +212,7 @@ def test_inference_understands_the_preset(preset):
     assert card.name == "mini"
     assert tuple(card.seg_input_size) == (64, 96)
     assert (card.crop_size, card.crop_kind, card.crop_margin) == (128, "perspective", 1.4)
-    assert card.judge and card.cues == 3
+    assert card.hand_logit and card.cues == 3
     assert card.heatmap_decode == "softargmax"
     assert written == json.loads((folder / "card.json").read_text())
     assert written["hardware"] == "2 cores" and written["training"]["hand_seg_net"]["seed"] == 4

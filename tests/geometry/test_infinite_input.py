@@ -13,7 +13,7 @@ from twohands.geometry.canonical import (
     spherical_alignment,
     unrolled_canonical,
 )
-from twohands.geometry.projection import drawn_to_rays, project_global
+from twohands.geometry.projection import project_global, pull_to_rays
 from twohands.geometry.rotation import centring_angles, rotate, rotation_about_z, rotation_from_angles
 from twohands.skeleton import ROOT, WRIST
 from twohands.types import PinholeCamera
@@ -30,7 +30,7 @@ TURNED = np.asarray(rotation_from_angles(THETA, PHI))
 
 def _drawn(to, canonical, joints_px, length):
     place = project_global(to(CANONICAL), to(JOINTS_PX), CAMERA, to(LENGTH))
-    return drawn_to_rays(canonical, joints_px, CAMERA, length, place, 0.5)
+    return pull_to_rays(canonical, joints_px, CAMERA, length, place, 0.5)
 
 
 FUNCTIONS = {
@@ -48,7 +48,7 @@ FUNCTIONS = {
     "rotate": (lambda to, *given: rotate(*given), [TURNED, JOINTS_M]),
     "rotation_from_angles": (lambda to, *given: rotation_from_angles(*given), [THETA, PHI]),
     "apply_homography": (lambda to, *given: apply_homography(*given), [np.stack([np.eye(3)] * 3), JOINTS_PX]),
-    "drawn_to_rays": (_drawn, [CANONICAL, JOINTS_PX, LENGTH]),
+    "pull_to_rays": (_drawn, [CANONICAL, JOINTS_PX, LENGTH]),
     "project": (lambda to, joints_m: project(joints_m, CAMERA), [JOINTS_M]),
 }
 

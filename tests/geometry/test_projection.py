@@ -13,8 +13,8 @@ from twohands.geometry.canonical import camera_from_canonical, canonical_from_ca
 from twohands.geometry.projection import (
     canonical_xy_from_rays,
     consistent_joints_px,
-    drawn_to_rays,
     project_global,
+    pull_to_rays,
     range_weights,
 )
 from twohands.geometry.rotation import centring_angles, rotate, rotation_from_angles
@@ -433,7 +433,7 @@ def test_weights_keep_a_doubtful_finger_out_of_the_range():
 def test_an_exact_pose_is_not_drawn_anywhere(to, scene):
     camera, _, joints_px, length, canonical = scene
     given = to(canonical), to(joints_px), camera, to(length)
-    drawn = drawn_to_rays(*given, project_global(*given), 0.7)
+    drawn = pull_to_rays(*given, project_global(*given), 0.7)
     np.testing.assert_allclose(np.asarray(drawn), canonical, atol=1e-9)
 
 
@@ -446,7 +446,7 @@ def test_joints_are_drawn_to_where_they_are_seen_and_keep_their_distance(to, noi
     valid = pose.valid
     given = to(joints_px), CENTRED_CAMERA, to(length)
     given = *given, project_global(to(canonical), *given, method=method)
-    drawn, half = (np.asarray(drawn_to_rays(to(canonical), *given, share)) for share in (1.0, 0.5))
+    drawn, half = (np.asarray(pull_to_rays(to(canonical), *given, share)) for share in (1.0, 0.5))
     there = camera_from_canonical(drawn, length, pose.radius_m, pose.theta, pose.phi)
     others = ~np.isin(np.arange(21), [WRIST, ROOT])
     np.testing.assert_allclose(project(there, CENTRED_CAMERA)[valid][:, others], joints_px[valid][:, others], atol=1e-6)
@@ -464,7 +464,7 @@ def test_what_is_not_known_is_not_drawn(to, noisy):
     joints_px = joints_px.copy()
     place = project_global(to(canonical), to(joints_px), CENTRED_CAMERA, to(length))
     joints_px[2, 5], joints_px[0, ROOT], place.radius_m[1] = np.nan, np.nan, np.nan
-    drawn = np.asarray(drawn_to_rays(to(canonical), to(joints_px), CENTRED_CAMERA, to(length), place, 1.0))
+    drawn = np.asarray(pull_to_rays(to(canonical), to(joints_px), CENTRED_CAMERA, to(length), place, 1.0))
     same = np.isclose(drawn, canonical, rtol=0, atol=1e-12).all(axis=-1)
     assert same[1].all() and same[2, [5, ROOT]].all() and same[2].sum() == 2
     assert same[0].sum() == 1  # where the root is seen is not asked

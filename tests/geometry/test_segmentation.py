@@ -14,7 +14,7 @@ from twohands.geometry.segmentation import (
     hand_scores,
     letterbox,
     masks_from_logits,
-    mean_of_looks,
+    mean_of_views,
     network_input,
     otsu_threshold,
     unmirrored,
@@ -185,19 +185,19 @@ def test_the_mirror_image_of_a_right_hand_at_its_left_is_a_left_hand_at_the_righ
         np.testing.assert_array_equal(twice, once)
 
 
-def test_the_mean_of_looks_has_the_resolution_of_the_finest():
+def test_the_mean_of_views_has_the_resolution_of_the_finest():
     """A map that is linear between its cells' centres is the same at any resolution, but for its border."""
 
     def ramp(rows, columns, scale):
         v, u = np.meshgrid((np.arange(rows) + 0.5) / rows, (np.arange(columns) + 0.5) / columns, indexing="ij")
         return scale * np.stack([u, v, u + v]), scale * np.stack([v, u])
 
-    masks, energies = mean_of_looks([ramp(4, 8, 1.0), ramp(16, 32, 2.0), ramp(8, 16, 3.0)])
+    masks, energies = mean_of_views([ramp(4, 8, 1.0), ramp(16, 32, 2.0), ramp(8, 16, 3.0)])
     assert masks.shape == (3, 16, 32) and energies.shape == (2, 16, 32)
     for found, expected in zip((masks, energies), ramp(16, 32, 2.0), strict=True):
         np.testing.assert_allclose(found[:, 2:-2, 2:-2], expected[:, 2:-2, 2:-2], atol=1e-6)
     alone = ramp(4, 8, 1.0)
-    assert all(np.array_equal(a, b) for a, b in zip(mean_of_looks([alone]), alone, strict=True))
+    assert all(np.array_equal(a, b) for a, b in zip(mean_of_views([alone]), alone, strict=True))
 
 
 def test_masks_are_the_largest_logit():

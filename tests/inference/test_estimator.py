@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from tests.oracles import UNUSED, Oracle, drawn_hands, full_truth, hand_masks, make_card, true_boxes
+from tests.oracles import UNUSED, Oracle, drawn_hands, full_truth, hand_masks, make_card, restaged, true_boxes
 
 from twohands.errors import InputError
 from twohands.evaluation.predictions import predict
@@ -15,9 +15,11 @@ from twohands.geometry.heatmaps import encode_heatmaps
 from twohands.geometry.rotation import rotation_about_z
 from twohands.geometry.segmentation import HandBoxes, network_input
 from twohands.inference.engine import Networks
-from twohands.inference.estimator import NO_TRUTH, HandEstimator, StageTruth
-from twohands.inference.looks import Look, joint_boxes
-from twohands.inference.range_prior import likely_ranges
+from twohands.inference.estimator import HandEstimator
+from twohands.inference.keypoints import Keypoints, joint_boxes
+from twohands.inference.placement import posterior_ranges
+from twohands.inference.stages import StageTruth
+from twohands.inference.views import with_rolled_views
 from twohands.skeleton import LEFT, RIGHT, ROOT
 from twohands.types import HandPose, HandSample, PinholeCamera
 
@@ -142,11 +144,12 @@ def test_only_a_hand_far_from_its_box_is_looked_at_again():
         return oracle.true_maps([crop for crop in cut[-len(batch) :]]), np.zeros(len(batch))
 
     estimator = HandEstimator(dataclasses.replace(oracle.estimator.networks, pose_net_2d=maps), oracle.card)
-    plain_crop = estimator.crop
-    estimator.crop = lambda *arguments: cut.append(plain_crop(*arguments)) or cut[-1]
+    plain_crop = estimator.stages.crop
+    estimator = restaged(estimator, crop=lambda *arguments: cut.append(plain_crop(*arguments)) or cut[-1])
     masks = hand_masks(sample)
     rough = HandBoxes(rough_px, np.array([True, True]), np.ones(2))
-    _, boxes, look = estimator.find_joints(sample.image, masks, rough, sample.camera)
+    _, boxes, look = estimator.find_hands(sample.image, masks, rough, sample.camera)
+    np.testing.assert_array_equal(rough.boxes_px, rough_px)  # named case: boxes that came in were written over
     assert [crop.side for crop in cut] == [LEFT, RIGHT, RIGHT]
     assert look.crops[LEFT] is cut[0] and look.crops[RIGHT] is cut[2]
     np.testing.assert_allclose(boxes.boxes_px, boxes_px, atol=0.1)
@@ -162,7 +165,7 @@ def test_small_or_outlying_joints_keep_the_box_of_before():
     joints_px[0, 4], joints_px[0, 8] = (25, -40), (90, 55)  # clipped to the picture
     joints_px[1, 4] = (37.9, 60)  # 7.9 pixels wide
     joints_px[2] += 200  # all outside
-    boxes = joint_boxes(joints_px, (96, 80), before)
+    boxes = joint_boxes(joints_px, (96, 80), before, 8.0)
     np.testing.assert_array_equal(boxes, [[25, 0, 80, 55], before[1], before[2]])
 
 
@@ -187,7 +190,7 @@ def test_true_presence_overrules_a_low_score_but_the_box_is_still_estimated():
 
 def test_a_hand_of_the_frame_before_is_looked_for_where_it_is_seen_but_faintly():
     sample = drawn_hands(5, present=(True, False))
-    oracle = Oracle(sample, make_card(judge=True))
+    oracle = Oracle(sample, make_card(hand_logit=True))
 
     def faint(batch):
         seg_logits, energy_logits = oracle.hand_seg_net(batch)
@@ -200,9 +203,9 @@ def test_a_hand_of_the_frame_before_is_looked_for_where_it_is_seen_but_faintly()
     networks = dataclasses.replace(oracle.estimator.networks, hand_seg_net=faint, pose_net_2d=sure)
     networks = dataclasses.replace(networks, pose_net_3d=lambda maps: oracle.canonical[:1].astype(np.float32))
     estimator = HandEstimator(networks, oracle.card)
-    masks, boxes = estimator.segment(sample.image, remembered=np.array([True, True]))
+    masks, boxes = estimator.segment(sample.image, was_present=np.array([True, True]))
     assert boxes.present.tolist() == [True, False]
-    crops = [estimator.crop(sample.image, masks, boxes.boxes_px[LEFT], LEFT, sample.camera)]
+    crops = [estimator.stages.crop(sample.image, masks, boxes.boxes_px[LEFT], LEFT, sample.camera)]
     unknown = estimator.estimate(sample.image, sample.camera)
     absent, present = (
         dataclasses.replace(unknown, left=HandPose(present=there), right=HandPose(present=False))
@@ -225,10 +228,10 @@ def test_in_doubt_both_the_picture_and_its_mirror_image_count():
         return seg_logits, energy_logits
 
     networks = dataclasses.replace(oracle.estimator.networks, hand_seg_net=seeing_a_ghost)
-    estimator = HandEstimator(networks, make_card(doubt=(1.0, 1.0)))
+    estimator = HandEstimator(networks, make_card(tta_score_range=(1.0, 1.0)))
     assert estimator.segment(sample.image)[1].present.tolist() == [True, True]
     assert oracle.calls == ["hand_seg_net"]
-    estimator = HandEstimator(networks, make_card(doubt=(0.5, 0.95)))
+    estimator = HandEstimator(networks, make_card(tta_score_range=(0.5, 0.95)))
     masks, boxes = estimator.segment(sample.image)
     assert oracle.calls == 3 * ["hand_seg_net"]
     assert boxes.present.tolist() == [True, False]
@@ -239,29 +242,32 @@ def test_in_doubt_both_the_picture_and_its_mirror_image_count():
 def test_looks_of_rolled_cameras_agree_on_true_answers_and_outvote_an_error(decode):
     """Joints that only the first look of three sees 3 pixels too far to the right are where the others see them."""
     sample = drawn_hands(4)
-    card = make_card(heatmap_decode=decode, rolls_deg=(20.0, -35.0))
+    card = make_card(heatmap_decode=decode, tta_rolls_deg=(20.0, -35.0))
     oracle = Oracle(sample, card, z_heatmaps=decode == "subpixel")
     estimator = HandEstimator(oracle.estimator.networks, card)
     crops, shift, error_px = [], [3.0, 0.0, 0.0], 0.05 if decode == "subpixel" else 0.3
 
-    def look_at(given, truth=NO_TRUTH):
+    def locate(given):
         crops.append(given)
-        heatmaps = oracle.true_maps(given)
-        joints_px, scores = estimator.read_out(heatmaps, given)
-        return Look(given, heatmaps, joints_px + np.array([shift[len(crops) - 1], 0.0]), scores, np.zeros(len(given)))
+        return oracle.true_maps(given), np.zeros(len(given))
 
-    def lift(look, truth=NO_TRUTH):
-        roll = rotation_about_z(np.radians([0.0, *card.rolls_deg][len(crops) - 1]))
+    def read_out(heatmaps, given):
+        joints_px, scores = plain.read_out(heatmaps, given)
+        return joints_px + np.array([shift[len(crops) - 1], 0.0]), scores
+
+    def lift(keypoints):
+        roll = rotation_about_z(np.radians([0.0, *card.views.tta_rolls_deg][len(crops) - 1]))
         return canonical_from_camera(sample.joints_m @ roll.T).joints
 
-    estimator.look_at, estimator.lift = look_at, lift
+    plain = estimator.stages
+    estimator = restaged(estimator, locate=locate, read_out=read_out, lift=lift)
     pose = estimator.estimate(sample.image, sample.camera, HAND_LENGTH_M)
     assert len(crops) == 3
     for side, hand in enumerate(pose.hands):
         np.testing.assert_allclose(hand.joints_px, sample.joints_px[side], atol=error_px)
         np.testing.assert_allclose(hand.canonical, oracle.canonical[side], atol=0.01)
     middle = card.crop_size / 2
-    for rolled, degrees in zip(crops[1:], card.rolls_deg, strict=True):
+    for rolled, degrees in zip(crops[1:], card.views.tta_rolls_deg, strict=True):
         for pair in zip(crops[0], rolled, strict=True):
             ends = [apply_homography(c.image_from_crop, np.array([[middle, middle], [middle, 0.0]])) for c in pair]
             (x, y), (turned_x, turned_y) = (end[1] - end[0] for end in ends)
@@ -269,22 +275,33 @@ def test_looks_of_rolled_cameras_agree_on_true_answers_and_outvote_an_error(deco
             assert turned == pytest.approx(-degrees, abs=12)  # what is upright to the rolled camera leans the other way
 
 
+def keypoints_of(estimator, sample, masks, boxes_px) -> Keypoints:
+    """Of both hands in the given boxes."""
+    crops = [estimator.stages.crop(sample.image, masks, boxes_px[side], side, sample.camera) for side in (LEFT, RIGHT)]
+    return estimator.stages.keypoints(crops)
+
+
 def test_a_hand_outside_the_picture_keeps_no_other_from_being_looked_at_again():
     sample = drawn_hands(4)
-    card = make_card(rolls_deg=(15.0, -15.0))
+    card = make_card(tta_rolls_deg=(15.0, -15.0))
     oracle = Oracle(sample, card)
     estimator = HandEstimator(oracle.estimator.networks, card)
     masks, boxes = estimator.segment(sample.image)
-    look = estimator.look(sample.image, masks, boxes.boxes_px, np.array([LEFT, RIGHT]), sample.camera)
+    look = keypoints_of(estimator, sample, masks, boxes.boxes_px)
     look.joints_px[RIGHT] = -50.0
-    canonical, crops = estimator.lift(look), []
+    canonical, crops = estimator.stages.lift(look), []
 
-    def look_at(given, truth=NO_TRUTH):
+    def locate(given):
         crops.append([crop.side for crop in given])
-        return look.rows([LEFT])
+        return look.heatmaps[:1], look.hand_logits[:1]
 
-    estimator.look_at, estimator.lift = look_at, lambda seen, truth=NO_TRUTH: canonical[seen.sides]
-    again, poses = estimator.look_around(sample.image, masks, look, canonical, sample.camera)
+    stages = dataclasses.replace(
+        estimator.stages,
+        locate=locate,
+        read_out=lambda heatmaps, given: (look.joints_px[:1], look.joint_scores[:1]),
+        lift=lambda seen: canonical[seen.sides],
+    )
+    again, poses = with_rolled_views(stages, card, sample.image, masks, look, canonical, sample.camera)
     assert crops == [[LEFT], [LEFT]]
     np.testing.assert_allclose(again.joints_px, look.joints_px, atol=1e-9)
     np.testing.assert_allclose(poses[RIGHT], canonical[RIGHT], atol=1e-12)
@@ -319,10 +336,10 @@ def test_the_networks_see_a_left_like_hand_on_black_with_the_other_dimmed():
     width = sample.image.shape[1]
     estimator = HandEstimator(UNUSED, make_card(crop_kind="square"))
     masks, box = hand_masks(sample), true_boxes(sample)[LEFT]
-    left = estimator.crop(sample.image, masks, box, LEFT, sample.camera)
+    left = estimator.stages.crop(sample.image, masks, box, LEFT, sample.camera)
     swap = np.array([0, 2, 1], np.uint8)
     mirrored_box = np.array([width - box[2], box[1], width - box[0], box[3]])
-    right = estimator.crop(
+    right = estimator.stages.crop(
         np.ascontiguousarray(sample.image[:, ::-1]), swap[masks[:, ::-1]], mirrored_box, RIGHT, sample.camera
     )
     assert (left.mirrored, right.mirrored) == (False, True)
@@ -369,14 +386,43 @@ def test_what_is_perhaps_a_hands_is_shown_to_the_networks_and_not_reported():
     np.testing.assert_array_equal(found.masks, np.where(sure.masks == 2, 2, 0))
 
 
-def test_inputs_are_left_as_they_were():
+@pytest.mark.parametrize(
+    "given",
+    [
+        ("masks", "boxes_px", "present", "joints_px", "heatmaps", "canonical"),
+        ("masks", "boxes_px"),
+        ("masks", "present"),
+        ("boxes_px",),
+        ("joints_px",),
+        (),
+    ],
+)
+@pytest.mark.parametrize("tta_rolls_deg", [(), (10.0,)])
+def test_inputs_are_left_as_they_were(given, tta_rolls_deg):
     sample = drawn_hands(0)
-    truth = full_truth(sample)
-    before = [np.copy(a) for a in (sample.image, truth.masks, truth.boxes_px, truth.joints_px, truth.canonical)]
-    HandEstimator(UNUSED, make_card()).estimate(sample.image, sample.camera, HAND_LENGTH_M, truth)
-    after = (sample.image, truth.masks, truth.boxes_px, truth.joints_px, truth.canonical)
-    for a, b in zip(before, after, strict=True):
+    every = {field.name: getattr(full_truth(sample), field.name) for field in dataclasses.fields(StageTruth)}
+    truth = StageTruth(**{name: every[name] for name in given})
+    networks = one_hand((80, 140))
+    estimator = HandEstimator(networks, make_card(hand_logit=True, tta_rolls_deg=tta_rolls_deg))
+    previous = estimator.estimate(sample.image, sample.camera, HAND_LENGTH_M)
+    lengths_m = np.array([0.08, 0.1])
+    arrays = [sample.image, lengths_m, *(every[name] for name in given)]
+    arrays += [value for hand in previous.hands for value in dataclasses.astuple(hand) if isinstance(value, np.ndarray)]
+    before = [array.copy() for array in arrays]
+    pose = estimator.estimate(sample.image, sample.camera, lengths_m, truth, previous=previous)
+    assert pose.left.present
+    for a, b in zip(before, arrays, strict=True):
         np.testing.assert_array_equal(a, b)
+
+
+def test_equal_inputs_give_equal_results_and_an_estimator_keeps_no_memory():
+    sample, other = drawn_hands(0), drawn_hands(1)
+    estimator = HandEstimator(one_hand((80, 140)), make_card(hand_logit=True, tta_rolls_deg=(10.0,)))
+    first = estimator.estimate(sample.image, sample.camera)
+    estimator.estimate(other.image, other.camera, 0.07)
+    again = estimator.estimate(sample.image, sample.camera)
+    np.testing.assert_array_equal(first.left.joints_m, again.left.joints_m)
+    assert first.left.score == again.left.score
 
 
 @pytest.mark.parametrize(
@@ -401,7 +447,7 @@ def test_uncertain_ranges_become_likely_ones_and_the_hands_move_along_their_line
     oracle = Oracle(sample, make_card(range_errors=(0.2, 0.4)))
     likely = oracle.estimator.estimate(sample.image, sample.camera, HAND_LENGTH_M)
     scores = np.stack([hand.joint_scores for hand in plain.hands])
-    expected = likely_ranges(np.array([hand.range_m for hand in plain.hands]), scores, (0.2, 0.4))
+    expected = posterior_ranges(np.array([hand.range_m for hand in plain.hands]), scores, oracle.card.placement)
     for before, after, range_m in zip(plain.hands, likely.hands, expected, strict=True):
         assert after.range_m == pytest.approx(range_m) and abs(after.range_m - before.range_m) > 0.01
         assert (after.theta_deg, after.phi_deg) == (before.theta_deg, before.phi_deg)
@@ -445,7 +491,7 @@ PICTURE = np.full((135, 240, 3), 90, np.uint8)
 def test_a_joint_seen_behind_a_wide_camera_leaves_finite_numbers_everywhere(decode, rolls_deg):
     """The crop of a hand at the edge reaches beyond 90 degrees; one bad joint must not spoil the hand, nor a run."""
     camera = PinholeCamera.from_fov(140, 240, 135)
-    card = make_card(heatmap_decode=decode, rolls_deg=rolls_deg)
+    card = make_card(heatmap_decode=decode, tta_rolls_deg=rolls_deg)
     estimator = HandEstimator(one_hand((140, 240), far_joint=8), card)
     pose = estimator.estimate(PICTURE, camera)
     hand = pose.left
@@ -468,15 +514,14 @@ def test_a_hand_is_valid_only_where_its_joints_are_finite():
     estimator = HandEstimator(one_hand((80, 140)), make_card())
     camera = PinholeCamera.ego3dhands(240, 135)
     assert estimator.estimate(PICTURE, camera).left.valid
-    read_out = estimator.read_out
+    read_out = estimator.stages.read_out
 
     def one_unknown(*given):
         joints_px, scores = read_out(*given)
         scores[0, 4] = np.nan
         return joints_px, scores
 
-    estimator.read_out = one_unknown
-    hand = estimator.estimate(PICTURE, camera).left
+    hand = restaged(estimator, read_out=one_unknown).estimate(PICTURE, camera).left
     assert hand.valid is False and hand.joints_m is None and hand.range_m is None and hand.joints_px is not None
 
 
@@ -485,7 +530,7 @@ def test_a_root_beyond_the_lens_model_keeps_its_canonical_pose():
     camera = dataclasses.replace(PinholeCamera.from_fov(100, 240, 135), distortion=(-1.2, 0, 0, 0))
     hands = []
     for rolls_deg in ((), (10.0, -10.0)):
-        estimator = HandEstimator(one_hand((180, 230)), make_card(rolls_deg=rolls_deg))
+        estimator = HandEstimator(one_hand((180, 230)), make_card(tta_rolls_deg=rolls_deg))
         hands.append(estimator.estimate(PICTURE, camera).left)
         assert np.isnan(unproject(hands[-1].joints_px[ROOT], camera)).any() and hands[-1].valid is False
     assert np.isfinite(hands[1].canonical).all()
@@ -495,10 +540,10 @@ def test_a_root_beyond_the_lens_model_keeps_its_canonical_pose():
 @pytest.mark.parametrize("rolls_deg", [(), (10.0, -10.0)])
 def test_an_estimated_box_of_which_there_is_no_crop_is_no_error_and_a_true_one_is(rolls_deg):
     camera = PinholeCamera.from_fov(170, 240, 135)
-    estimator = HandEstimator(one_hand((0, 200)), make_card(rolls_deg=rolls_deg))
+    estimator = HandEstimator(one_hand((0, 200)), make_card(tta_rolls_deg=rolls_deg))
     box_px = estimator.segment(PICTURE)[1].boxes_px
     with pytest.raises(InputError, match="half space"):
-        estimator.crop(PICTURE, np.zeros((135, 240), np.uint8), box_px[LEFT], LEFT, camera)
+        estimator.stages.crop(PICTURE, np.zeros((135, 240), np.uint8), box_px[LEFT], LEFT, camera)
     pose = estimator.estimate(PICTURE, camera)
     assert pose.left.present and np.isfinite(pose.left.joints_px).all() and not pose.right.present
     with pytest.raises(InputError, match="half space"):
@@ -517,19 +562,17 @@ def test_canonical_truth_is_that_of_the_real_hand():
 
 def judging(oracle, hand_seg_net):
     """The oracle's pipeline behind another HandSegNet, with a PoseNet2D that knows which hand a crop's centre is in."""
-    card = dataclasses.replace(oracle.card, judge=True)
+    card = dataclasses.replace(oracle.card, hand_logit=True)
     left_like = oracle.canonical * np.array([[[1, 1, 1]], [[-1, 1, 1]]])
     networks = Networks(hand_seg_net, UNUSED.pose_net_2d, lambda maps: left_like[np.flatnonzero(oracle.sample.present)])
-    estimator = HandEstimator(networks, card)
     centres = true_boxes(oracle.sample).reshape(2, 2, 2).mean(axis=1)
 
-    def locate(crops, truth):
+    def locate(crops):
         middles = [crop.image_from_crop @ [card.crop_size / 2, card.crop_size / 2, 1] for crop in crops]
         off = [np.linalg.norm(m[:2] / m[2] - centres[crop.side]) for m, crop in zip(middles, crops, strict=True)]
         return oracle.true_maps(crops), np.where(np.array(off) < 10, 12.0, -12.0)
 
-    estimator.locate = locate
-    return estimator
+    return restaged(HandEstimator(networks, card), locate=locate)
 
 
 def swapped(oracle):
@@ -561,15 +604,14 @@ def test_of_two_hands_both_may_be_exchanged_where_one_is_doubtful():
     oracle = Oracle(sample, make_card())
 
     estimator = judging(oracle, swapped(oracle))
-    locate = estimator.locate
+    locate = estimator.stages.locate
 
-    def unsure(crops, truth):
-        maps, logits = locate(crops, truth)
+    def unsure(crops):
+        maps, logits = locate(crops)
         taken_for_right = [crop.side == RIGHT and logit < 0 for crop, logit in zip(crops, logits, strict=True)]
         return maps, np.where(taken_for_right, 0.5, logits)
 
-    estimator.locate = unsure
-    pose = estimator.estimate(sample.image, sample.camera, HAND_LENGTH_M)
+    pose = restaged(estimator, locate=unsure).estimate(sample.image, sample.camera, HAND_LENGTH_M)
     assert pose.left.present and pose.right.present
     np.testing.assert_array_equal(pose.masks, hand_masks(sample))
 
@@ -584,17 +626,19 @@ def test_hands_that_the_judge_swaps_are_cut_anew_from_true_masks_too():
         return logits, energies[:, ::-1]
 
     estimator, looks = judging(oracle, swapped), []
-    look = estimator.look
+    locate = estimator.stages.locate
 
-    def noted(*where):
-        looks.append(look(*where))
-        return looks[-1]
+    def noted(crops):
+        looks.append(crops)
+        return locate(crops)
 
-    estimator.look = noted
+    estimator = restaged(estimator, locate=noted)
     pose = estimator.estimate(sample.image, sample.camera, HAND_LENGTH_M, StageTruth(masks=hand_masks(sample)))
     np.testing.assert_array_equal(pose.masks, hand_masks(sample))
-    assert [seen.sides.tolist() for seen in looks] == 2 * [[LEFT, RIGHT]]
-    for before, after in zip(looks[0].crops[::-1], looks[1].crops, strict=True):
+    as_found, mirrored, last = looks
+    assert [crop.side for crop in mirrored] == [RIGHT, LEFT]
+    assert [crop.side for crop in as_found] == [crop.side for crop in last] == [LEFT, RIGHT]
+    for before, after in zip(as_found[::-1], last, strict=True):
         assert after.image.max() > before.image.max()
 
 
@@ -626,7 +670,7 @@ def test_a_hand_found_as_both_is_judged_by_the_whole_of_it():
     sample = drawn_hands(1, present=(True, False))
     oracle = Oracle(sample, make_card())
     estimator = judging(oracle, striped(oracle))
-    cut, in_parts = estimator.crop, []
+    cut, in_parts = estimator.stages.crop, []
 
     def crop(image, masks, *where):
         crop = cut(image, masks, *where)
@@ -634,14 +678,14 @@ def test_a_hand_found_as_both_is_judged_by_the_whole_of_it():
             in_parts.append(crop)
         return crop
 
-    def locate(crops, truth):
+    def locate(crops):
         logits = [[-8.0, 4.0] if any(crop is part for part in in_parts) else [12.0, -12.0] for crop in crops]
         return oracle.true_maps(crops), np.array([both[crop.side] for both, crop in zip(logits, crops, strict=True)])
 
-    def same_joints(heatmaps, crops, truth):
+    def same_joints(heatmaps, crops):
         return np.repeat(sample.joints_px[:1], len(crops), axis=0), np.ones((len(crops), 21))
 
-    estimator.crop, estimator.locate, estimator.read_out = crop, locate, same_joints
+    estimator = restaged(estimator, crop=crop, locate=locate, read_out=same_joints)
     pose = estimator.estimate(sample.image, sample.camera, HAND_LENGTH_M)
     assert in_parts and pose.left.present and not pose.right.present
     np.testing.assert_array_equal(pose.masks, hand_masks(sample))
@@ -654,18 +698,18 @@ def test_a_hand_with_its_joints_nowhere_in_particular_is_none(scores):
     sample = drawn_hands(2)
     oracle = Oracle(sample, make_card())
     estimator = judging(oracle, oracle.hand_seg_net)
-    locate, read_out = estimator.locate, estimator.read_out
+    locate, read_out = estimator.stages.locate, estimator.stages.read_out
 
-    def unsure(crops, truth):
-        return locate(crops, truth)[0], np.array([[12.0, 0.5][crop.side] for crop in crops])
+    def unsure(crops):
+        return locate(crops)[0], np.array([[12.0, 0.5][crop.side] for crop in crops])
 
-    def scored(heatmaps, crops, truth):
+    def scored(heatmaps, crops):
         by_side = np.array([[1.0, scores][crop.side] for crop in crops])
-        return read_out(heatmaps, crops, truth)[0], np.repeat(by_side[:, None], 21, axis=1)
+        return read_out(heatmaps, crops)[0], np.repeat(by_side[:, None], 21, axis=1)
 
-    estimator.locate, estimator.read_out = unsure, scored
+    estimator = restaged(estimator, locate=unsure, read_out=scored)
     masks, boxes = estimator.segment(sample.image)
-    masks, boxes, look = estimator.find_joints(sample.image, masks, boxes, sample.camera)
+    masks, boxes, look = estimator.find_hands(sample.image, masks, boxes, sample.camera)
     there = [True, scores > 0.5]
     assert boxes.present.tolist() == there and look.sides.tolist() == np.flatnonzero(there).tolist()
     assert (boxes.scores > 0.5).tolist() == there and np.isfinite(boxes.boxes_px).all(axis=1).tolist() == there
@@ -676,8 +720,8 @@ def test_a_hand_with_its_joints_nowhere_in_particular_is_none(scores):
 def test_what_is_no_hand_is_refused():
     sample = drawn_hands(2)
     estimator = judging(Oracle(sample, make_card()), Oracle(sample, make_card()).hand_seg_net)
-    estimator.locate = lambda crops, truth: (np.zeros((len(crops), 21, 32, 32)), np.full(len(crops), -12.0))
-    pose = estimator.estimate(sample.image, sample.camera, HAND_LENGTH_M)
+    no_hand = restaged(estimator, locate=lambda crops: (np.zeros((len(crops), 21, 32, 32)), np.full(len(crops), -12.0)))
+    pose = no_hand.estimate(sample.image, sample.camera, HAND_LENGTH_M)
     assert not pose.left.present and not pose.right.present and not pose.masks.any()
 
 
@@ -691,7 +735,7 @@ def test_a_joint_without_line_of_sight_does_not_cost_the_hand_its_range():
     joints_px, lengths_m = [camera.fx, camera.fy] * bent + [camera.cx, camera.cy], np.full(2, HAND_LENGTH_M)
     joints_px[RIGHT, 8] = [10 * camera.width, camera.cy]
     assert np.isnan(unproject(joints_px[RIGHT, 8], camera)).any()
-    pose = HandEstimator(UNUSED, make_card()).place(canonical, joints_px, np.ones((2, 21)), camera, lengths_m)
+    pose = HandEstimator(UNUSED, make_card()).stages.place(canonical, joints_px, np.ones((2, 21)), camera, lengths_m)
     assert pose.valid.all()
     np.testing.assert_allclose(pose.joints_m, sample.joints_m, atol=1e-6)
 
@@ -701,18 +745,22 @@ def test_a_rolled_look_without_line_of_sight_does_not_cost_the_hand_its_pose():
     hand's pose NaN."""
     sample = drawn_hands(4)
     camera = dataclasses.replace(sample.camera, distortion=(-0.28, 0.0, 0.0, 0.0))
-    card = make_card(rolls_deg=(20.0, -20.0))
+    card = make_card(tta_rolls_deg=(20.0, -20.0))
     estimator = HandEstimator(Oracle(sample, card).estimator.networks, card)
     masks, boxes = estimator.segment(sample.image)
-    look = estimator.look(sample.image, masks, boxes.boxes_px, np.array([LEFT, RIGHT]), sample.camera)
+    look = keypoints_of(estimator, sample, masks, boxes.boxes_px)
     look = dataclasses.replace(look, joint_scores=np.ones((2, 21)))
     canonical = canonical_from_camera(sample.joints_m).joints
     away = look.joints_px.copy()
     away[LEFT, ROOT] = [10 * camera.width, camera.cy]
     faint = np.full((2, 21), 0.4)
-    estimator.look_at = lambda crops: dataclasses.replace(look, crops=crops, joints_px=away, joint_scores=faint)
-    estimator.lift = lambda seen: canonical
-    again, poses = estimator.look_around(sample.image, masks, look, canonical, camera)
+    stages = dataclasses.replace(
+        estimator.stages,
+        locate=lambda crops: (look.heatmaps, look.hand_logits),
+        read_out=lambda heatmaps, crops: (away, faint),
+        lift=lambda seen: canonical,
+    )
+    again, poses = with_rolled_views(stages, card, sample.image, masks, look, canonical, camera)
     assert np.isfinite(poses).all() and np.isfinite(again.joints_px).all()
     np.testing.assert_allclose(np.delete(again.joint_scores.ravel(), LEFT * 21 + ROOT), np.sqrt((1 + 0.4 + 0.4) / 3))
     assert again.joint_scores[LEFT, ROOT] < 0.1  # the looks do not agree where it is

@@ -10,17 +10,18 @@ from scripts.fit_range_errors import Ranges, fitted, loss, ranges_in
 from tests.oracles import Oracle, drawn_hands, make_card
 
 from twohands.errors import InputError
-from twohands.inference import range_prior as prior
+from twohands.inference.decision import PlacementConfig
 
 ROOT = Path(__file__).parents[2]
+PRIOR = PlacementConfig()
 
 
 def pictures(count, errors, rng):
-    """Both hands' ranges and estimates, drawn as `likely_ranges` supposes they are."""
-    alike = np.array([[1.0, prior.ALIKE], [prior.ALIKE, 1.0]])
-    true = prior.USUAL_RANGE_M * np.exp(rng.multivariate_normal(np.zeros(2), prior.USUAL_SPREAD**2 * alike, count))
+    """Both hands' ranges and estimates, drawn as `posterior_ranges` supposes they are."""
+    alike = np.array([[1.0, PRIOR.correlation], [PRIOR.correlation, 1.0]])
+    true = PRIOR.usual_range_m * np.exp(rng.multivariate_normal(np.zeros(2), PRIOR.usual_spread**2 * alike, count))
     mean = rng.uniform(0.4, 1.0, (count, 2))
-    error = errors[0] * (errors[1] / errors[0]) ** ((1 - mean) / (1 - prior.LOWER_SCORE))
+    error = errors[0] * (errors[1] / errors[0]) ** ((1 - mean) / (1 - PRIOR.lower_score))
     estimated = true * np.exp(error * rng.normal(size=true.shape))
     return [Ranges(e, np.tile(m[:, None], (1, 21)), t) for e, m, t in zip(estimated, mean, true, strict=True)]
 

@@ -12,9 +12,10 @@ from twohands.evaluation.completion import hand_lengths_m
 from twohands.evaluation.predictions import predict
 from twohands.evaluation.summary import budget_costs, budget_results
 from twohands.inference.budget import STUDIES, error_budget, solved_again, studies_without_masks
-from twohands.inference.estimator import HandEstimator, StageTruth
+from twohands.inference.estimator import HandEstimator
 from twohands.inference.ground_truth import STAGES, HeatmapTargets, TruthfulEstimator, stage_truth, true_heatmaps
-from twohands.inference.read_out import read_joints
+from twohands.inference.keypoints import read_joints
+from twohands.inference.stages import StageTruth
 from twohands.skeleton import LEFT, RIGHT
 from twohands.types import HandSample
 
@@ -195,9 +196,8 @@ def test_solving_again_repeats_the_estimator() -> None:
     samples = [replace(drawn_hands(seed), source=str(seed)) for seed in range(2)]
 
     def estimate(sample):
-        estimator = Oracle(sample, make_card()).estimator
-        estimator.ray_share = 0.0  # joints as they were placed
-        return TruthfulEstimator(estimator)(sample)
+        as_placed = make_card(ray_share=0.0)
+        return TruthfulEstimator(Oracle(sample, as_placed).estimator)(sample)
 
     predictions = predict(samples, estimate, dataset="drawn", weights="oracle", settings={})
     cameras = [sample.camera for sample in samples]

@@ -31,8 +31,8 @@ def two_frames() -> list[TwoHandPose]:
 
 def test_the_schema_of_version_1():
     record = to_dict(two_frames(), source="pictures", weights="tiny")
-    assert list(record) == ["version", "source", "weights", "hand_length_m", "frames"]
-    assert record["hand_length_m"] is None
+    assert list(record) == ["version", "source", "weights", "config", "hand_length_m", "frames"]
+    assert record["hand_length_m"] is None and record["config"] is None
     assert (record["version"], record["source"], record["weights"]) == (1, "pictures", "tiny")
     first, second = record["frames"]
     assert list(first) == ["index", "file", "time_s", "camera", "hands"]

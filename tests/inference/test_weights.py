@@ -10,12 +10,13 @@ import pytest
 from tests.oracles import write_tiny_weights
 
 from twohands.errors import CheckpointError
+from twohands.inference.decision import DecisionConfig, PictureView, PlacementConfig, ViewConfig
 from twohands.inference.engine import load_networks
 from twohands.inference.estimator import HandEstimator
 from twohands.inference.weights import (
     DEFAULT_PRESET,
     NETWORK_NAMES,
-    PictureLook,
+    WeightsCard,
     network_files,
     preset_folder,
     preset_names,
@@ -69,7 +70,7 @@ def test_a_folder_is_taken_before_a_shipped_preset_of_its_name(tiny, tmp_path, m
     [
         (lambda card: card.pop("name"), "'name' is missing"),
         (lambda card: card["pose_net_2d"].pop("crop_size"), "'crop_size' is missing"),
-        (lambda card: card.update(version=9), "version 1 expected, found 9"),
+        (lambda card: card.update(version=9), "version 2 expected, found 9"),
         (lambda card: card["pose_net_2d"].update(crop_kind="round"), "crop_kind must be one of"),
         (lambda card: card["pose_net_2d"].update(crop_margin=0), "crop_margin must be positive"),
         (lambda card: card["pose_net_2d"].update(crop_size=0), "crop_size must be positive"),
@@ -82,14 +83,19 @@ def test_a_folder_is_taken_before_a_shipped_preset_of_its_name(tiny, tmp_path, m
         (lambda card: card.update(int8={"hand_net": {}}), "int8 names unknown networks, hand_net"),
         (lambda card: card.update(int8={"hand_seg_net": {"relu": 0}}), "peaks larger than 0"),
         (lambda card: card["pose_net_2d"].update(cues=-1), "cues must not be negative"),
-        (lambda card: card["hand_seg_net"].update(doubt=[0.5]), "doubt must be"),
-        (lambda card: card["hand_seg_net"].update(further_looks=[{"size": [48, 80]}]), "multiples of 32"),
-        (lambda card: card["hand_seg_net"].update(further_looks=[{"mirrored": True}]), "'size' is missing"),
-        (lambda card: card["pose_net_2d"].update(rolls_deg=15), "card: "),
-        (lambda card: card["pose_net_2d"].update(rolls_deg=[15, float("nan")]), "rolls_deg must be angles"),
-        (lambda card: card.update(range_errors=[0.04]), "range_errors must be"),
-        (lambda card: card.update(range_errors=[0.04, 0]), "range_errors must be"),
-        (lambda card: card.update(range_errors=0.04), "card: "),
+        (lambda card: card["views"].update(tta_score_range=[0.5]), "tta_score_range must be"),
+        (lambda card: card["views"].update(tta_views=[{"size": [48, 80]}]), "multiples of 32"),
+        (lambda card: card["views"].update(tta_views=[{"mirrored": True}]), "'size' is missing"),
+        (lambda card: card["views"].update(tta_rolls_deg=15), "card: "),
+        (lambda card: card["views"].update(tta_rolls_deg=[15, float("nan")]), "tta_rolls_deg must be angles"),
+        (lambda card: card["placement"].update(range_errors=[0.04]), "range_errors must be"),
+        (lambda card: card["placement"].update(range_errors=[0.04, 0]), "range_errors must be"),
+        (lambda card: card["placement"].update(range_errors=0.04), "card: "),
+        (lambda card: card["placement"].update(ray_share="half"), "card: "),
+        (lambda card: card["decision"].update(seg_weight=float("nan")), "card: "),
+        (lambda card: card["decision"].update(seg_weigth=0.5), "decision names unknown settings, seg_weigth"),
+        (lambda card: card.update(decision=0.5), "card: "),
+        (lambda card: card["hand_seg_net"].update(network_input="x / 255"), "network_input must be"),
         (lambda card: card.update(networks={"hand_seg_net": "../elsewhere"}), "folders beside the card's"),
         (lambda card: card.update(networks={"hand_seg_net": ""}), "folders beside the card's"),
         (lambda card: card.update(networks={"hand_net": "fast"}), "networks names unknown networks, hand_net"),
@@ -97,36 +103,63 @@ def test_a_folder_is_taken_before_a_shipped_preset_of_its_name(tiny, tmp_path, m
     ],
 )
 def test_a_bad_card_is_refused(copied, change, message):
-    card = json.loads((copied / "card.json").read_text())
+    card = json.loads((copied / "card.json").read_text()) | {"views": {}, "decision": {}, "placement": {}}
     change(card)
     (copied / "card.json").write_text(json.dumps(card))
     with pytest.raises(CheckpointError, match=message):
         read_card(copied)
 
 
+def test_a_card_overrides_any_setting_and_the_record_names_all_of_them(copied):
+    card = json.loads((copied / "card.json").read_text())
+    card |= {"decision": {"seg_weight": 1}, "placement": {"range_errors": [0.04, 0.1]}, "views": {"tta_views": []}}
+    (copied / "card.json").write_text(json.dumps(card))
+    found = read_card(copied)
+    assert found.decision == DecisionConfig(seg_weight=1.0)
+    assert found.placement == PlacementConfig(range_errors=(0.04, 0.1))
+    assert found.views == ViewConfig()
+    settings = json.loads(json.dumps(found.settings(), allow_nan=False))
+    assert WeightsCard.from_dict(card | settings) == found
+    for section, kind in (("views", ViewConfig), ("decision", DecisionConfig), ("placement", PlacementConfig)):
+        assert set(settings[section]) == {field.name for field in dataclasses.fields(kind)}
+
+
+def test_a_card_of_version_1_says_the_same_in_other_words(copied):
+    card = json.loads((copied / "card.json").read_text()) | {"version": 1}
+    views = [{"size": [64, 96], "mirrored": True}]
+    old, new = json.loads(json.dumps(card)), card | {"version": 2}
+    assert WeightsCard.from_dict(old) == WeightsCard.from_dict(new)  # with none of the four
+    old["hand_seg_net"] |= {"further_looks": views, "doubt": [0.1, 0.9]}
+    old["pose_net_2d"]["rolls_deg"] = [5]
+    old["range_errors"] = [0.04, 0.1]
+    new["views"] = {"tta_views": views, "tta_score_range": [0.1, 0.9], "tta_rolls_deg": [5]}
+    new["placement"] = {"range_errors": [0.04, 0.1]}
+    assert WeightsCard.from_dict(old) == WeightsCard.from_dict(new)
+
+
 def test_a_card_alone_runs_the_networks_of_the_preset_that_it_names(copied, monkeypatch):
     card = json.loads((copied / "card.json").read_text()) | {"name": "patient"}
     card["networks"] = dict.fromkeys(NETWORK_NAMES, copied.name)
-    card["hand_seg_net"] |= {
-        "further_looks": [{"size": [64, 96]}, {"size": [32, 64], "mirrored": True}],
-        "doubt": [0, 1],
+    card["views"] = {
+        "tta_views": [{"size": [64, 96]}, {"size": [32, 64], "mirrored": True}],
+        "tta_score_range": [0, 1],
+        "tta_rolls_deg": [15, -15],
     }
-    card["pose_net_2d"]["rolls_deg"] = [15, -15]
     alone = copied.parent / "patient"
     alone.mkdir()
     (alone / "card.json").write_text(json.dumps(card))
     found = read_card(alone)
     monkeypatch.chdir(alone)
     assert read_card(Path(".")) == found  # named case: the folder beside "." was looked for in it
-    assert found.further_looks == (PictureLook((64, 96)), PictureLook((32, 64), mirrored=True))
-    assert (found.doubt, found.rolls_deg) == ((0, 1), (15, -15))
-    assert read_card(copied).further_looks == (PictureLook((48, 80), mirrored=True),)
+    assert found.views.tta_views == (PictureView((64, 96)), PictureView((32, 64), mirrored=True))
+    assert (found.views.tta_score_range, found.views.tta_rolls_deg) == ((0, 1), (15, -15))
+    assert read_card(copied).views.tta_views == (PictureView((48, 80), mirrored=True),)
     assert weights_id(alone, found).partition("@")[2] == weights_id(copied, read_card(copied)).partition("@")[2]
     image, camera = np.zeros((48, 80, 3), np.uint8), PinholeCamera.from_fov(90.0, 80, 48)
-    shipped, patient = HandEstimator.from_preset(copied), HandEstimator.from_preset(alone)
-    seen = []
-    network = patient.networks.pose_net_2d
-    patient.networks = dataclasses.replace(patient.networks, pose_net_2d=lambda x: seen.append(x) or network(x))
+    shipped, networks, seen = HandEstimator.from_preset(copied), load_networks(alone, found), []
+    network = networks.pose_net_2d
+    noted = dataclasses.replace(networks, pose_net_2d=lambda x: seen.append(x) or network(x))
+    patient = HandEstimator(noted, found)
     for hand, again in zip(shipped.estimate(image, camera).hands, patient.estimate(image, camera).hands, strict=True):
         assert hand.present and again.present
         np.testing.assert_allclose(again.box_px, [*again.joints_px.min(axis=0), *again.joints_px.max(axis=0)])

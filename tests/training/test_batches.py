@@ -12,7 +12,7 @@ from tests.training.tiny import NETWORKS, tiny_run
 
 from twohands.errors import InputError
 from twohands.geometry.part_labels import hand_classes
-from twohands.geometry.segmentation import PERHAPS, certain_masks
+from twohands.geometry.segmentation import UNCERTAIN, certain_masks
 from twohands.models.checkpoint import save_network
 from twohands.models.presets import build_network
 from twohands.training.batches import BatchDataset, IndexRange, Joined, pose_batch, segmentation_batch
@@ -215,7 +215,7 @@ def test_a_segmenter_answers_for_every_picture(segmented_run):
     assert len(found) == len(SAMPLES)
     for sample, answer in zip(SAMPLES, found, strict=True):
         assert answer.classes.shape == sample.image.shape[:2]
-        assert certain_masks(answer.classes).max() <= 2 and answer.classes.max() <= 2 + PERHAPS
+        assert certain_masks(answer.classes).max() <= 2 and answer.classes.max() <= 2 + UNCERTAIN
         assert answer.boxes_px.shape == (2, 4)
 
 

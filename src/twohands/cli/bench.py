@@ -22,7 +22,7 @@ from twohands.errors import InputError
 from twohands.formats.camera_files import camera_for_image, read_camera
 from twohands.inference.estimator import HandEstimator
 from twohands.inference.sources import list_images, read_image
-from twohands.inference.stage_times import STAGES, StageClock, time_stages
+from twohands.inference.stage_times import ROWS, StageClock, timed_estimate
 from twohands.inference.weights import DEFAULT_PRESET
 from twohands.types import PinholeCamera
 
@@ -86,7 +86,7 @@ def measure(
     """Milliseconds of every stage for `count` frames after a warm-up.
 
     Args:
-        estimator: its stages are timed from now on.
+        estimator: whose stages are timed; it stays as it is.
         pictures: images with their cameras, taken in turn.
         count: frames.
 
@@ -94,14 +94,14 @@ def measure(
         Stage name -> (count,), in the order of the pipeline, and at the end their sum, "total".
     """
     clock = StageClock()
-    time_stages(estimator, clock)
+    estimate = timed_estimate(estimator, clock)
     rows = []
     for i in range(WARM_UP + count):
         clock.reset()
-        estimator.estimate(*pictures[i % len(pictures)])
-        rows.append([1e3 * clock.seconds[name] for name in STAGES.values()])
+        estimate(*pictures[i % len(pictures)])
+        rows.append([1e3 * clock.seconds[name] for name in ROWS])
     columns = np.array(rows[WARM_UP:]).T
-    return {**dict(zip(STAGES.values(), columns, strict=True)), "total": columns.sum(axis=0)}
+    return {**dict(zip(ROWS, columns, strict=True)), "total": columns.sum(axis=0)}
 
 
 def summary(values_ms: np.ndarray) -> dict[str, float]:

@@ -85,7 +85,8 @@ def fine_tune(
             report=lambda line: print(line, flush=True),
         )
         checkpoints |= result.checkpoints
-    further = {"fine_tuned_from": DEFAULT_PRESET, "range_errors": read_card(preset_folder(DEFAULT_PRESET)).range_errors}
+    errors = read_card(preset_folder(DEFAULT_PRESET)).placement.range_errors
+    further = {"fine_tuned_from": DEFAULT_PRESET, "placement": {"range_errors": errors}}
     export_preset(checkpoints, out, name=out.resolve().name, further=further)
     add_int8(out, (source[i] for i in range(min(CALIBRATION_PICTURES, len(source)))))
     folder = f"./{out}" if str(out) in preset_names() else out  # the name alone is that of shipped weights

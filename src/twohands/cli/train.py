@@ -140,11 +140,12 @@ def open_segmentation(checkpoint: Path) -> Segment:
     if checkpoint.name != "hand_seg_net.onnx" or not (checkpoint.parent / "card.json").is_file():
         return Segmenter(checkpoint)
     shipped = HandEstimator.from_preset(checkpoint.parent, threads=1)
-    # A single look at every picture, like `Segmenter`: the time is the training's.
-    estimator = HandEstimator(shipped.networks, dataclasses.replace(shipped.card, further_looks=()))
+    one_view = dataclasses.replace(shipped.card.views, tta_views=())
+    # A single view of every picture, like `Segmenter`: the time is the training's.
+    estimator = HandEstimator(shipped.networks, dataclasses.replace(shipped.card, views=one_view))
 
     def segment(images: Sequence[np.ndarray]) -> list[Segmentation]:
-        return [segmentation_of(*estimator.hand_maps(image), image.shape[:2]) for image in images]
+        return [segmentation_of(*estimator.stages.hand_maps(image), image.shape[:2]) for image in images]
 
     return segment
 

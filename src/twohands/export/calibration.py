@@ -49,14 +49,14 @@ def add_int8(folder: Path, pictures: Iterable[HandSample]) -> None:
     """
     path = folder / "card.json"
     card = json.loads(path.read_text(encoding="utf-8"))
-    estimator = HandEstimator.from_preset(folder)
-    kept = {name: peaks for name, peaks in card.get("int8", {}).items() if name in estimator.card.networks}
+    shipped = HandEstimator.from_preset(folder)
+    kept = {name: peaks for name, peaks in card.get("int8", {}).items() if name in shipped.card.networks}
     inputs: dict[str, list[np.ndarray]] = {name: [] for name in NETWORKS}
-    recorders = {name: _recorded(getattr(estimator.networks, name), inputs[name]) for name in NETWORKS}
-    estimator.networks = replace(estimator.networks, **recorders)
+    recorders = {name: _recorded(getattr(shipped.networks, name), inputs[name]) for name in NETWORKS}
+    estimator = HandEstimator(replace(shipped.networks, **recorders), shipped.card)
     for picture in pictures:
         estimator.estimate(picture.image, picture.camera)
-    own = [name for name in NETWORKS if name not in estimator.card.networks]
+    own = [name for name in NETWORKS if name not in shipped.card.networks]
     card["int8"] = kept | {name: activation_peaks(folder / f"{name}.onnx", inputs[name]) for name in own}
     write_card(folder, card)
 

@@ -20,7 +20,7 @@ from torch import Tensor, nn
 
 from twohands.errors import CheckpointError, InputError
 from twohands.inference.int8 import WEIGHT_LEVELS, kernel_peaks
-from twohands.inference.weights import write_card
+from twohands.inference.weights import CARD_VERSION, NETWORK_INPUT, write_card
 from twohands.models.checkpoint import BYTES, HALF, SCALE, describe, load_network, read_note
 from twohands.models.hand_seg_net import HandSegNet
 from twohands.models.pose_net_2d import PoseNet2D, PoseNet2DConfig
@@ -28,7 +28,6 @@ from twohands.models.pose_net_3d import PoseNet3D
 from twohands.models.presets import NetworkConfigs
 from twohands.skeleton import N_JOINTS
 
-CARD_VERSION = 1
 OPSET = 18
 WHOLE = "_whole"
 """Ending of the name of a kernel in whole numbers, as float32."""
@@ -197,7 +196,7 @@ def export_preset(
     card = {
         "version": CARD_VERSION,
         "name": name,
-        "hand_seg_net": {**seg, "input_size": [seg["height"], seg["width_px"]]},
+        "hand_seg_net": {**seg, "input_size": [seg["height"], seg["width_px"]], "network_input": NETWORK_INPUT},
         "pose_net_2d": {
             **pose,
             "map_size": map_size,

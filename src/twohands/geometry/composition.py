@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twohands.geometry.boxes import warp_image
-from twohands.geometry.segmentation import PERHAPS
+from twohands.geometry.segmentation import UNCERTAIN
 from twohands.types import Array
 
 OTHER_HAND_WEIGHT = 0.5
@@ -45,5 +45,5 @@ def compose_hand_input(
     mask = warp_image(masks, mask_per_image[:, None] * image_from_crop, size, interpolation="nearest")
     weight = np.full(256, background, dtype=np.float32)
     own, other = 1 + side, 2 - side
-    weight[[own, own + PERHAPS]], weight[[other, other + PERHAPS]] = 1.0, max(OTHER_HAND_WEIGHT, background)
+    weight[[own, own + UNCERTAIN]], weight[[other, other + UNCERTAIN]] = 1.0, max(OTHER_HAND_WEIGHT, background)
     return (crop * weight[mask][..., None]).astype(np.uint8)

@@ -33,13 +33,13 @@ _SHORTEST_PX = 1e-6
 _SHORTEST_ACROSS = 1e-6
 """The same in 3D: distance from the root across its line of sight, canonical units."""
 
-_FINGER_WEIGHT = 0.25
+FINGER_WEIGHT = 0.25
 """Of a finger's joint beside 1 for wrist and knuckles: the palm is nearly rigid, so its joints are known best."""
 
-_ROOT_WEIGHT = 4.0
+ROOT_WEIGHT = 4.0
 """Of the root beside the other knuckles; it counts in the fit alone."""
 
-_DOUBT = 0.08
+FIT_TOLERANCE = 0.08
 """How far, in hand lengths, a joint is seen from where the pose puts it when the fit counts it half."""
 
 _FIT_STEPS = 3
@@ -48,27 +48,35 @@ _FIT_STEPS = 3
 _STEADINESS = 1e-9
 """Weight of the present solution in a step of the fit beside all joints: what they do not tell stays as it is."""
 
-_LEAST_SCORE = 0.05
+LEAST_SCORE = 0.05
 """No joint is ignored altogether: a hand of which nothing is certain still has a range."""
 
 
-def range_weights(joint_scores: Array) -> Array:
+def range_weights(
+    joint_scores: Array,
+    *,
+    finger: float = FINGER_WEIGHT,
+    root: float = ROOT_WEIGHT,
+    least_score: float = LEAST_SCORE,
+) -> Array:
     """Weights with which a hand is placed by its estimated joints: palm before fingers, certain before doubtful.
 
     Args:
         joint_scores: (..., 21) 0..1, certainty of the 2D joints; NaN where the system says nothing, which counts as 1.
+        finger, root: weight of the joints of the fingers beyond the knuckles, and of the root, beside 1 for wrist and
+            the other knuckles.
+        least_score: what lower scores count as.
 
     Returns:
-        (..., 21) positive, for `project_global`: score^2, a quarter of that for the joints of the fingers beyond the
-        knuckles, four times as much for the root.
+        (..., 21) positive, for `project_global`: that weight times score^2.
 
     Source: ours; measured in docs/paper-map.md, *Weights of the joints*.
     """
     xp, scores = float_arrays(joint_scores)
     joints = xp.arange(scores.shape[-1], device=scores.device)
     palm = xp.any(xp.stack([joints == joint for joint in PALM]), axis=0)
-    certain = xp.where(xp.isfinite(scores), xp.where(scores > _LEAST_SCORE, scores, _LEAST_SCORE), 1.0)
-    by_joint = xp.where(joints == ROOT, _ROOT_WEIGHT, xp.where(palm, 1.0, _FINGER_WEIGHT))
+    certain = xp.where(xp.isfinite(scores), xp.where(scores > least_score, scores, least_score), 1.0)
+    by_joint = xp.where(joints == ROOT, root, xp.where(palm, 1.0, finger))
     return xp.astype(by_joint, scores.dtype) * certain**2
 
 
@@ -81,6 +89,7 @@ def project_global(
     method: Method = "all-joints",
     angles: Angles = "exact",
     weights: Array | None = None,
+    fit_tolerance: float = FIT_TOLERANCE,
 ) -> GlobalPose:
     """Place a canonical pose in the camera frame, given where its joints are seen.
 
@@ -97,6 +106,7 @@ def project_global(
         angles: "exact", or "paper" for the printed equation (`rotation.paper_angles`), kept for comparison.
         weights: (..., 21) not negative, not for "keybone"; a joint of weight 0 is ignored and its pixel may be unknown.
             None weighs all joints alike.
+        fit_tolerance: how far, in hand lengths, a joint is off when the fit counts it half.
 
     Returns:
         The pose in metres. `theta` and `phi` are known wherever the root's pixel is, else NaN; those of that pixel but
@@ -137,7 +147,8 @@ def project_global(
             radius = _least_squares_radius(xp, slopes, pose, scale, xp.where(weight > 0, weight, 0.0))
             observed = xp.all((known | (weight == 0)) & (weight >= 0), axis=-1)
         if method == "fitted":
-            radius, theta, phi = _fitted(xp, rays_cam, pose * scale[..., None], scale, weight, (radius, theta, phi))
+            start = radius, theta, phi
+            radius, theta, phi = _fitted(xp, rays_cam, pose * scale[..., None], scale, weight, start, fit_tolerance)
 
         used = weight > 0
         across_px = xp.linalg.vector_norm(joints_px - joints_px[..., ROOT : ROOT + 1, :], axis=-1)
@@ -164,7 +175,7 @@ def project_global(
     )
 
 
-def drawn_to_rays(
+def pull_to_rays(
     canonical: Array,
     joints_px: Array,
     camera: PinholeCamera,
@@ -309,14 +320,21 @@ def _least_squares_radius(xp: Any, slopes: Array, pose: Array, scale: Array, wei
 
 
 def _fitted(
-    xp: Any, rays: Array, joints: Array, scale: Array, weight: Array, start: tuple[Any, Any, Any]
+    xp: Any,
+    rays: Array,
+    joints: Array,
+    scale: Array,
+    weight: Array,
+    start: tuple[Any, Any, Any],
+    fit_tolerance: float,
 ) -> tuple[Any, Any, Any]:
     """Distance and direction of the root with which all joints are seen where they should be, as nearly as can be.
 
     Least squares again and again, in the frame of a camera turned to the root as it was before: there, for a root at t,
-    m_j (t_z + L z_j) = t_xy + L (x_j, y_j), which is linear in t. Its weights are w_j / (1 + (d_j / `_DOUBT`)^2), where
-    d_j is how far joint j was seen from where it should be, in hand lengths at the root's distance. As the slopes m_j
-    are estimates, too, noise in them alone draws the range in: by 0.2 % at 1 px of 480x270, 4 % at 4 px.
+    m_j (t_z + L z_j) = t_xy + L (x_j, y_j), which is linear in t. Its weights are
+    w_j / (1 + (d_j / `fit_tolerance`)^2), where d_j is how far joint j was seen from where it should be, in hand
+    lengths at the root's distance. As the slopes m_j are estimates, too, noise in them alone draws the range in: by
+    0.2 % at 1 px of 480x270, 4 % at 4 px.
 
     Args:
         rays: (..., 21, 3) camera frame, not finite where unknown.
@@ -324,14 +342,15 @@ def _fitted(
         scale: (..., 1) hand length L.
         weight: (..., 21) not negative.
         start: radius, theta, phi, each (...).
+        fit_tolerance: as `project_global`.
 
     Returns:
         radius, theta, phi; those of the start where the fit leads nowhere, a joint behind the camera included.
     """
     radius, theta, phi = (_finite_or(xp, value, 0.0) for value in start)
-    doubt = scale[..., 0] * _DOUBT
-    begun = xp.isfinite(start[0]) & (radius > 0) & (doubt > 0)
-    radius, doubt = (xp.where(begun, value, 1.0) for value in (radius, doubt))
+    tolerance = scale[..., 0] * fit_tolerance
+    begun = xp.isfinite(start[0]) & (radius > 0) & (tolerance > 0)
+    radius, tolerance = (xp.where(begun, value, 1.0) for value in (radius, tolerance))
     known = xp.all(xp.isfinite(rays), axis=-1) & (weight > 0) & begun[..., None]
     rays, weight = xp.where(known[..., None], rays, 1.0), xp.where(known, weight, 0.0)
     for _ in range(_FIT_STEPS):
@@ -340,7 +359,7 @@ def _fitted(
         depth = radius[..., None] + joints[..., 2]
         usable = known & in_front & (depth > 0)
         depth = xp.where(usable, depth, 1.0)
-        off = (slopes - joints[..., :2] / depth[..., None]) * (radius / doubt)[..., None, None]
+        off = (slopes - joints[..., :2] / depth[..., None]) * (radius / tolerance)[..., None, None]
         trust = xp.where(usable, weight / (1 + xp.sum(off * off, axis=-1)) / depth**2, 0.0)
         whole = xp.sum(trust, axis=-1, keepdims=True)
         trust = (trust / xp.where(whole > 0, whole, 1.0))[..., None]  # (..., 21, 1)

@@ -16,7 +16,7 @@ from twohands.geometry.boxes import box_from_points
 
 Floats = NDArray[np.floating]
 PRESENCE_THRESHOLD = 0.6
-"""A hand is absent where its score (`hand_scores`) is below this, unless PoseNet2D has a say (`inference.sides`).
+"""A hand is absent where its score (`hand_scores`) is below this, unless PoseNet2D has a say (`inference.handedness`).
 
 The paper says "very low activation" of the energy and gives no value (SPEC 2). Chosen on pictures that are neither
 trained nor tested on: right for 99.5 % of 600 hands of preset paper and 90 % of 400 of preset wild; in photographs
@@ -29,9 +29,9 @@ LETTERBOX_GREY = 128
 """What surrounds a picture that does not fill a network's input: 0 once it is normalised."""
 STRETCH = 0.05
 """Pictures whose aspect ratio is this close to the network's input are stretched to fill it."""
-PERHAPS = 2
+UNCERTAIN = 2
 """What is added to a hand's class in masks where a pixel is perhaps that hand's."""
-PERHAPS_LEAD = 1.0
+UNCERTAIN_LEAD = 1.0
 """The background's lead, in logits, below which a pixel is perhaps a hand's."""
 
 
@@ -112,7 +112,9 @@ def network_input(images: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(np.moveaxis(normalised, 3, 1))
 
 
-def masks_from_logits(logits: np.ndarray, image_size: tuple[int, int], present: np.ndarray) -> np.ndarray:
+def masks_from_logits(
+    logits: np.ndarray, image_size: tuple[int, int], present: np.ndarray, uncertain_lead: float = UNCERTAIN_LEAD
+) -> np.ndarray:
     """Per-pixel class at full resolution, with what may be a hand's besides.
 
     Each hand's lead over the background is enlarged before the decision, which keeps outlines smooth.
@@ -121,26 +123,27 @@ def masks_from_logits(logits: np.ndarray, image_size: tuple[int, int], present: 
         logits: (3, h, w) for background, left, right.
         image_size: (H, W) of the picture.
         present: (2,) bool, which hands are there; a hand that is not gets no pixel.
+        uncertain_lead: the background's lead, in logits, below which a pixel is perhaps a hand's.
 
     Returns:
         (H, W) uint8, 0 background, 1 left, 2 right; 3 perhaps left, 4 perhaps right where the background leads by less
-        than `PERHAPS_LEAD`. `certain_masks` takes these for background, `compose_hand_input` for the hand.
+        than `uncertain_lead`. `certain_masks` takes these for background, `compose_hand_input` for the hand.
     """
     height, width = image_size
     masks = np.zeros((height, width), np.uint8)
     largest, lead = np.zeros((2, height, width), np.float32)  # used again and again: fresh memory is slow to get
-    largest -= PERHAPS_LEAD
+    largest -= uncertain_lead
     for hand in 1 + np.flatnonzero(present):  # one class after the other: np.argmax over all takes four times as long
         cv2.resize(np.asarray(logits[hand] - logits[0], np.float32), (width, height), dst=lead)
         np.copyto(masks, np.uint8(hand), where=lead > largest)
         cv2.max(largest, lead, dst=largest)
-    np.add(masks, np.uint8(PERHAPS), out=masks, where=(largest <= 0) & (masks > 0))
+    np.add(masks, np.uint8(UNCERTAIN), out=masks, where=(largest <= 0) & (masks > 0))
     return masks
 
 
 def certain_masks(masks: np.ndarray) -> np.ndarray:
     """Masks (H, W) uint8 with what is perhaps a hand's (`masks_from_logits`) given to the background."""
-    return cv2.threshold(masks, PERHAPS, 0, cv2.THRESH_TOZERO_INV)[1]
+    return cv2.threshold(masks, UNCERTAIN, 0, cv2.THRESH_TOZERO_INV)[1]
 
 
 def otsu_threshold(energy: np.ndarray) -> float:
@@ -220,22 +223,22 @@ def unmirrored(seg_logits: np.ndarray, energy_logits: np.ndarray) -> tuple[np.nd
     return seg_logits[[0, 2, 1], :, ::-1], energy_logits[::-1, :, ::-1]
 
 
-def mean_of_looks(looks: Sequence[tuple[np.ndarray, ...]]) -> tuple[np.ndarray, ...]:
+def mean_of_views(views: Sequence[tuple[np.ndarray, ...]]) -> tuple[np.ndarray, ...]:
     """Mean of several answers for one picture, at the resolution of the finest.
 
-    Ours. Looks at a picture from another side or at another size err differently.
+    Ours. Views of a picture from another side or at another size err differently.
 
     Args:
-        looks: of each the same maps, (C, h, w), each covering the whole picture at a resolution of its own.
+        views: of each the same maps, (C, h, w), each covering the whole picture at a resolution of its own.
     """
-    size = max(look[0].shape[1:] for look in looks)
+    size = max(view[0].shape[1:] for view in views)
 
     def resized(maps: np.ndarray) -> np.ndarray:
         if maps.shape[1:] == size:
             return maps
         return np.stack([cv2.resize(np.ascontiguousarray(plane), size[::-1]) for plane in maps])
 
-    return tuple(np.mean([resized(maps) for maps in same], axis=0) for same in zip(*looks, strict=True))
+    return tuple(np.mean([resized(maps) for maps in same], axis=0) for same in zip(*views, strict=True))
 
 
 def boxes_from_energy(

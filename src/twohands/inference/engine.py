@@ -34,7 +34,7 @@ class Networks:
         hand_seg_net: (B, 3, h, w), h and w multiples of 32 -> seg_logits (B, 3, h', w') for background, left, right,
             and energy_logits (B, 2, h', w') for left, right.
         pose_net_2d: (B, 3, S, S) -> heatmaps (B, 21 + cues, M, M), and (B,) log-odds that a crop shows a hand of the
-            side it was cut for, 0 from a network that does not judge.
+            side it was cut for, 0 from a network without a hand classifier.
         pose_net_3d: (B, 21 + cues, M, M) -> canonical joints (B, 21, 3) of a left-like hand.
         runtime: what runs them and in which arithmetic, for the reader.
     """
@@ -154,7 +154,7 @@ def load_networks(folder: Path, card: WeightsCard, threads: int = 0) -> Networks
 
     seg = compiled("hand_seg_net", 3, 3, 2)
     maps = N_JOINTS + card.cues
-    pose_2d = compiled("pose_net_2d", 3, maps, *([1] if card.judge else []))
+    pose_2d = compiled("pose_net_2d", 3, maps, *([1] if card.hand_logit else []))
     pose_3d = compiled("pose_net_3d", maps, N_JOINTS)
     arithmetic = " and ".join(sorted(seg.arithmetic | pose_2d.arithmetic | pose_3d.arithmetic))
     runtime = f"OpenVINO on {seg.threads} thread{'s'[: seg.threads > 1]} in {arithmetic}"

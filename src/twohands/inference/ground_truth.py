@@ -18,7 +18,8 @@ from twohands.geometry.boxes import apply_homography, box_in_picture
 from twohands.geometry.canonical import canonical_from_camera
 from twohands.geometry.heatmaps import encode_heatmaps
 from twohands.geometry.part_labels import hand_classes
-from twohands.inference.estimator import HandEstimator, StageTruth
+from twohands.inference.estimator import HandEstimator
+from twohands.inference.stages import StageTruth
 from twohands.types import HandSample, TwoHandPose
 
 Stage = Literal["presence", "masks", "boxes", "joints-2d", "heatmaps", "canonical"]
@@ -131,7 +132,7 @@ class TruthfulEstimator:
             if not np.isfinite(truth.boxes_px[side]).all():
                 continue
             masks = no_mask if truth.masks is None else truth.masks
-            crop = self.estimator.crop(sample.image, masks, truth.boxes_px[side], side, sample.camera)
+            crop = self.estimator.stages.crop(sample.image, masks, truth.boxes_px[side], side, sample.camera)
             joints = apply_homography(np.linalg.inv(crop.image_from_crop), sample.joints_px[side])
             maps[side] = true_heatmaps(joints, canonical[side, :, 2], card.crop_size, self._targets)
         if not maps:

@@ -2,7 +2,7 @@
 
 Layout::
 
-    {"version": 1, "source": ..., "weights": ..., "hand_length_m": ..., "frames": [
+    {"version": 1, "source": ..., "weights": ..., "config": ..., "hand_length_m": ..., "frames": [
         {"index": 0, "file": ..., "time_s": null,
          "camera": {"fx", "fy", "cx", "cy", "width", "height"},
          "hands": {"left": H, "right": H}}]}
@@ -10,6 +10,7 @@ Layout::
     H = {"present", "score", "box_px": [u0, v0, u1, v1], "joints_px": [21][2], "joint_scores": [21],
          "canonical": [21][3], "joints_m": [21][3], "range_m", "theta_deg", "phi_deg", "key_bone", "method", "valid"}
 
+`config` holds every hand-tuned number behind the results, `WeightsCard.settings`; null where they are not known.
 `file` is the picture's name, null for frames of a video; `index` is its position among all pictures of the source,
 those that were skipped included. An absent hand has `present` false and null elsewhere. Where `valid` is false,
 `joints_m` and `range_m` are null. A camera with lens distortion carries the further key `distortion`. Numbers are
@@ -47,6 +48,7 @@ def to_dict(
     *,
     source: str,
     weights: str,
+    config: dict[str, Any] | None = None,
     hand_length_m: float | None = None,
     files: Sequence[str] | Mapping[int, str] | None = None,
 ) -> dict[str, Any]:
@@ -56,6 +58,7 @@ def to_dict(
         poses: one per frame.
         source: the file or folder they come from.
         weights: name of the weights.
+        config: `WeightsCard.settings`; None where they are not known.
         hand_length_m: |wrist - middle knuckle| that all lengths scale with, metres; None where it is not known.
         files: names of the source's pictures, by `TwoHandPose.index`; None where there are none.
     """
@@ -63,6 +66,7 @@ def to_dict(
         "version": VERSION,
         "source": source,
         "weights": weights,
+        "config": config,
         "hand_length_m": hand_length_m,
         "frames": [
             {

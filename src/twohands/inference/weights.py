@@ -3,31 +3,35 @@
 A preset is a folder::
 
     <preset>/hand_seg_net.onnx   (B, 3, h, w) -> seg_logits (B, 3, h', w'), energy_logits (B, 2, h', w')
-             pose_net_2d.onnx    (B, 3, S, S) -> heatmaps (B, 21 + cues, M, M), as the third network takes them; if it
-                                 judges its crops, also hand_logit (B, 1)
+             pose_net_2d.onnx    (B, 3, S, S) -> heatmaps (B, 21 + cues, M, M), as the third network takes them; with a
+                                 hand classifier, also hand_logit (B, 1)
              pose_net_3d.onnx    (B, 21 + cues, M, M) -> canonical (B, 21, 3), left-like hand
              card.json
 
 The card holds what inference must know; every other key (recipe, seed, accuracy, ...) is for the reader::
 
     {
-      "version": 1,
+      "version": 2,
       "name": "fast",
-      "hand_seg_net": {"input_size": [224, 384]},
+      "hand_seg_net": {"input_size": [224, 384], "network_input": "(x - 128) / 256"},
       "pose_net_2d": {"crop_size": 128, "crop_kind": "perspective", "crop_margin": 1.5, "heatmap_decode": "softargmax"},
-      "range_errors": [0.046, 0.143],
+      "placement": {"range_errors": [0.046, 0.143]},
       "int8": {"hand_seg_net": {"node_relu": 21.5, ...}, ...}
     }
 
 A preset may take networks of another one; its card names the folder beside its own where they are::
 
     {
-      "version": 1,
+      "version": 2,
       "name": "accurate",
       "networks": {"hand_seg_net": "fast"},
-      "hand_seg_net": {..., "further_looks": [{"size": [288, 512], "mirrored": true}, ...], "doubt": [0, 1]},
-      "pose_net_2d": {..., "rolls_deg": [15, -15]}
+      ...
+      "views": {"tta_views": [{"size": [288, 512], "mirrored": true}, ...], "tta_score_range": [0, 1],
+                "tta_rolls_deg": [15, -15]}
     }
+
+"views", "decision" and "placement" override any field of `inference.decision`'s records. Cards of version 1 had four of
+these elsewhere, under other names, and are read as well.
 """
 
 from __future__ import annotations
@@ -36,42 +40,24 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from twohands.errors import CheckpointError
 from twohands.files import write_whole
+from twohands.inference.decision import DecisionConfig, PictureView, PlacementConfig, ViewConfig, overridden
 
 DEFAULT_PRESET = "fast"
-CARD_VERSION = 1
+CARD_VERSION = 2
+NETWORK_INPUT = "(x - 128) / 256"
+"""What `geometry.segmentation.network_input` does with a picture's values; a card may say so, and nothing else."""
 NETWORK_NAMES = ("hand_seg_net", "pose_net_2d", "pose_net_3d")
 CROP_KINDS = ("square", "perspective")
 HEATMAP_DECODERS = ("subpixel", "softargmax")
-DOUBT = (0.03, 0.97)
-"""Scores of a hand between which HandSegNet looks at a picture again, if the card does not say otherwise: at its mirror
-image; the mean of all looks counts.
-
-Ours. It concerns three of ten pictures of preset paper and most of preset wild. On 850 generated pictures with
-`inference.sides` chosen for either, presence before a webcam was right for 93.5 instead of 90.5 % of the hands; two
-looks at all pictures bring a little more, and cost twice as much.
-"""
 STRIDE = 32
 """What both sides of HandSegNet's input must be multiples of."""
-
-
-@dataclass(frozen=True, slots=True)
-class PictureLook:
-    """How HandSegNet is shown a picture.
-
-    Attributes:
-        size: (height, width) of the input in pixels.
-        mirrored: whether it is shown the mirror image.
-    """
-
-    size: tuple[int, int]
-    mirrored: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,22 +66,18 @@ class WeightsCard:
 
     Attributes:
         name: the preset's name, written into results.
-        seg_input_size: (height, width) of HandSegNet's input in pixels, for the first look at a picture.
+        seg_input_size: (height, width) of HandSegNet's input in pixels, for the first view of a picture.
         crop_size: side of the square PoseNet2D input in pixels.
         crop_kind: "square" (the paper's crop) or "perspective" (a virtual camera looking at the hand).
         crop_margin: crop side over the larger side of the hand's box.
         heatmap_decode: "subpixel" for maps with linear output, "softargmax" for probability maps.
         background: brightness of the background in the crop, 0..1; 0 where the card does not say.
-        judge: whether PoseNet2D also says if its crops show hands.
+        hand_logit: whether PoseNet2D also says if its crops show hands; "judge" of the network's config.
         cues: number of maps that PoseNet2D gives beside those of the joints, for PoseNet3D.
-        further_looks: of HandSegNet at a picture, where it is in doubt.
-        doubt: scores of a hand between which it is in doubt.
-        rolls_deg: further looks of the pose networks at a hand, as cameras see it that are rolled so far about their
-            line of sight.
-        range_errors: of `inference.range_prior.likely_ranges`, as scripts/fit_range_errors.py finds them; None to take
-            ranges as the projection gives them.
         networks: networks that the preset takes of another one -> name of that one's folder, beside its own.
         int8: networks that run in 8 bits -> name of every ReLU -> largest value after it (`inference.int8`).
+        views, decision, placement: every hand-tuned number of the pipeline.
+        network_input: how the values of pictures are normalised for both networks that see them.
     """
 
     name: str
@@ -105,14 +87,14 @@ class WeightsCard:
     crop_margin: float
     heatmap_decode: str
     background: float = 0.0
-    judge: bool = False
+    hand_logit: bool = False
     cues: int = 0
-    further_looks: tuple[PictureLook, ...] = ()
-    doubt: tuple[float, float] = DOUBT
-    rolls_deg: tuple[float, ...] = ()
-    range_errors: tuple[float, float] | None = None
     networks: Mapping[str, str] = field(default_factory=dict)
     int8: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    views: ViewConfig = field(default_factory=ViewConfig)
+    decision: DecisionConfig = field(default_factory=DecisionConfig)
+    placement: PlacementConfig = field(default_factory=PlacementConfig)
+    network_input: str = NETWORK_INPUT
 
     def __post_init__(self) -> None:
         if len(self.seg_input_size) != 2 or min(self.seg_input_size) < 1:
@@ -125,8 +107,8 @@ class WeightsCard:
             raise CheckpointError(f"card: pose_net_2d.crop_margin must be positive, got {self.crop_margin}")
         if not 0 <= self.background <= 1:
             raise CheckpointError(f"card: pose_net_2d.background must lie in 0..1, got {self.background}")
-        if len(self.doubt) != 2:
-            raise CheckpointError(f"card: hand_seg_net.doubt must be [low, high], got {list(self.doubt)}")
+        if self.network_input != NETWORK_INPUT:
+            raise CheckpointError(f"card: network_input must be {NETWORK_INPUT!r}, got {self.network_input!r}")
         for key, named in (("networks", self.networks), ("int8", self.int8)):
             unknown = sorted(set(named) - set(NETWORK_NAMES))
             if unknown:
@@ -134,17 +116,16 @@ class WeightsCard:
         for folder in self.networks.values():
             if not folder or Path(folder).name != folder:
                 raise CheckpointError(f"card: networks must name folders beside the card's, got {folder!r}")
-        if not all(map(math.isfinite, self.rolls_deg)):
-            raise CheckpointError(f"card: pose_net_2d.rolls_deg must be angles, got {list(self.rolls_deg)}")
-        errors = self.range_errors
-        if errors is not None and not (len(errors) == 2 and all(0 < error < math.inf for error in errors)):
-            raise CheckpointError(f"card: range_errors must be two numbers larger than 0, got {list(errors)}")
         if self.cues < 0:
             raise CheckpointError(f"card: pose_net_2d.cues must not be negative, got {self.cues}")
         if self.heatmap_decode not in HEATMAP_DECODERS:
             raise CheckpointError(
                 f"card: pose_net_2d.heatmap_decode must be one of {HEATMAP_DECODERS}, got {self.heatmap_decode!r}"
             )
+
+    def settings(self) -> dict[str, Any]:
+        """Every hand-tuned number, as a card's sections "views", "decision" and "placement" hold them."""
+        return {section: asdict(getattr(self, section)) for section in ("views", "decision", "placement")}
 
     @classmethod
     def from_dict(cls, card: dict[str, Any]) -> WeightsCard:
@@ -154,9 +135,11 @@ class WeightsCard:
             CheckpointError: a key is missing or holds something else.
         """
         version = card.get("version")
-        if version != CARD_VERSION:
+        if version not in (1, CARD_VERSION):
             raise CheckpointError(f"card: version {CARD_VERSION} expected, found {version!r}; update twohands")
         try:
+            if version == 1:
+                card = _of_version_1(card)
             seg, pose = card["hand_seg_net"], card["pose_net_2d"]
             height, width = (int(n) for n in seg["input_size"])
             return cls(
@@ -167,14 +150,14 @@ class WeightsCard:
                 crop_margin=float(pose["crop_margin"]),
                 heatmap_decode=str(pose["heatmap_decode"]),
                 background=float(pose.get("background", 0.0)),
-                judge=bool(pose.get("judge", False)),
+                hand_logit=bool(pose.get("judge", False)),
                 cues=int(pose.get("cues", 0)),
-                further_looks=_further_looks(seg, (height, width)),
-                doubt=tuple(float(score) for score in seg.get("doubt", DOUBT)),  # type: ignore[arg-type]
-                rolls_deg=tuple(float(angle) for angle in pose.get("rolls_deg", ())),
-                range_errors=_numbers(card.get("range_errors")),  # type: ignore[arg-type]
                 networks={str(name): str(folder) for name, folder in card.get("networks", {}).items()},
                 int8=_peaks(card.get("int8", {})),
+                views=overridden(ViewConfig(), _views(card.get("views", {}), (height, width)), "views"),
+                decision=overridden(DecisionConfig(), card.get("decision", {}), "decision"),
+                placement=overridden(PlacementConfig(), card.get("placement", {}), "placement"),
+                network_input=str(seg.get("network_input", NETWORK_INPUT)),
             )
         except KeyError as error:
             raise CheckpointError(f"card: key {error} is missing") from error
@@ -182,26 +165,33 @@ class WeightsCard:
             raise CheckpointError(f"card: {error}") from error
 
 
-def _further_looks(seg: Any, size: tuple[int, int]) -> tuple[PictureLook, ...]:
-    """The card's "further_looks", checked; at the mirror image in the size of the first look if it has none.
+def _of_version_1(card: Mapping[str, Any]) -> dict[str, Any]:
+    """A card of version 1 as one of version 2: four settings have moved."""
+    seg, pose = card["hand_seg_net"], card["pose_net_2d"]
+    moved = {
+        "tta_views": (seg, "further_looks"),
+        "tta_score_range": (seg, "doubt"),
+        "tta_rolls_deg": (pose, "rolls_deg"),
+    }
+    views = {name: section[old] for name, (section, old) in moved.items() if old in section}
+    return {**card, "views": views, "placement": {"range_errors": card.get("range_errors")}}
+
+
+def _views(section: Mapping[str, Any], size: tuple[int, int]) -> dict[str, Any]:
+    """The card's "views" with its "tta_views", checked; of the mirror image in the size of the first if it has none.
 
     Raises:
         ValueError: a size is none that HandSegNet takes.
     """
-    if "further_looks" not in seg:
-        return (PictureLook(size, mirrored=True),)
-    looks = []
-    for look in seg["further_looks"]:
-        height, width = (int(n) for n in look["size"])
+    if "tta_views" not in section:
+        return {**section, "tta_views": (PictureView(size, mirrored=True),)}
+    views = []
+    for view in section["tta_views"]:
+        height, width = (int(n) for n in view["size"])
         if min(height, width) < 1 or height % STRIDE or width % STRIDE:
-            raise ValueError(f"the size of a further look must be positive multiples of {STRIDE}, got {look['size']}")
-        looks.append(PictureLook((height, width), bool(look.get("mirrored", False))))
-    return tuple(looks)
-
-
-def _numbers(values: Any) -> tuple[float, ...] | None:
-    """A list of numbers, or None."""
-    return None if values is None else tuple(float(value) for value in values)
+            raise ValueError(f"the size of a view must be positive multiples of {STRIDE}, got {view['size']}")
+        views.append(PictureView((height, width), bool(view.get("mirrored", False))))
+    return {**section, "tta_views": tuple(views)}
 
 
 def _peaks(int8: Any) -> dict[str, dict[str, float]]:

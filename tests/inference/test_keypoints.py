@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from twohands.geometry.heatmaps import WINDOW_RADIUS, decode_softargmax, encode_heatmaps
-from twohands.inference.read_out import read_joints
+from twohands.inference.keypoints import read_joints
 
 
 def maps_of(joints, sigma=2.0):

@@ -1,0 +1,202 @@
+"""Every hand-tuned number of the pipeline, in three frozen records that a preset's card may override.
+
+They calibrate particular networks, so they travel with them: `inference.weights.WeightsCard` holds one record of each
+kind, and predictions and hands.json name every value with which they were made. Numbers that training must share are
+not here but on the card itself (crops, input sizes) or in `twohands.geometry`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any, TypeVar
+
+from twohands.errors import CheckpointError
+from twohands.geometry.projection import FINGER_WEIGHT, FIT_TOLERANCE, LEAST_SCORE, ROOT_WEIGHT
+from twohands.geometry.segmentation import PRESENCE_THRESHOLD, UNCERTAIN_LEAD
+
+Config = TypeVar("Config", "DecisionConfig", "ViewConfig", "PlacementConfig")
+
+
+@dataclass(frozen=True, slots=True)
+class PictureView:
+    """How HandSegNet is shown a picture.
+
+    Attributes:
+        size: (height, width) of the input in pixels.
+        mirrored: whether it is shown the mirror image.
+    """
+
+    size: tuple[int, int]
+    mirrored: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class ViewConfig:
+    """Test-time augmentation and crops: which views of a picture, and of a hand, the networks see."""
+
+    tta_views: tuple[PictureView, ...] = ()
+    """Further views of the picture for HandSegNet, where the first leaves a score within `tta_score_range`."""
+    tta_score_range: tuple[float, float] = (0.03, 0.97)
+    """Scores of a hand between which HandSegNet sees `tta_views`, too; the mean of all views counts.
+
+    Ours. It concerns three of ten pictures of scene style paper and most of wild. On 850 generated pictures with the
+    rules of `inference.handedness` chosen for either, presence before a webcam was right for 93.5 instead of 90.5 % of
+    the hands; two views of all pictures bring a little more, and cost twice as much.
+    """
+    tta_rolls_deg: tuple[float, ...] = ()
+    """Further views of a hand for the pose networks, as cameras see it that are rolled so far about their line of
+    sight; degrees."""
+    recrop_below_iou: float = 0.65
+    """PoseNet2D sees a hand again, cropped to its joints, where HandSegNet's box and theirs overlap less.
+
+    Ours; the paper crops once. It concerns a fifth of the hands. With earlier weights, on 160 test images, it brought
+    the root's direction from 92 % within 1.5 degrees to 94 %, and the mean camera-space error from 18.4 to 17.5 mm; a
+    second crop of all hands gives no more.
+    """
+    smallest_box_px: float = 8.0
+    """Where the joints of a hand span less than this of the picture, there is nothing to see."""
+    agreement_share: float = 0.04
+    """How far, as a share of the hand's longer side, views see a joint from their median when they are said to agree
+    half. 0.02 to 0.06 are alike (docs/experiments.md, *Where looks agree*)."""
+
+    def __post_init__(self) -> None:
+        if len(self.tta_score_range) != 2:
+            raise CheckpointError(f"card: views.tta_score_range must be [low, high], got {list(self.tta_score_range)}")
+        if not all(map(math.isfinite, self.tta_rolls_deg)):
+            raise CheckpointError(f"card: views.tta_rolls_deg must be angles, got {list(self.tta_rolls_deg)}")
+
+
+@dataclass(frozen=True, slots=True)
+class DecisionConfig:
+    """Which hands are there, and whose: the rules of `inference.handedness`. A "logit" is log-odds."""
+
+    presence_threshold: float = PRESENCE_THRESHOLD
+    """HandSegNet's score (`geometry.segmentation.hand_scores`) of a hand, where PoseNet2D has no `hand_logit`."""
+    candidate_threshold: float = 0.2
+    """HandSegNet's score from which on PoseNet2D sees a candidate, where it has a `hand_logit`.
+
+    This and the next four were chosen together, with earlier weights, on generated pictures that are neither trained
+    nor tested on, and on the photographs that training puts behind hands; 0.3, as it was then, misses two more of 2,722
+    hands (docs/experiments.md, *Who shows one hand mostly shows both*).
+    """
+    mirror_below_logit: float = 0.0
+    """`hand_logit` of any candidate below which PoseNet2D sees the mirror images too: at 1 % of the candidates at an
+    egocentric view. Of two candidates at both: 3,072 instead of 3,069 of 3,282 hands are then known for what they are.
+    The real crops had a say in this choice."""
+    seg_weight: float = 0.7
+    """Weight of HandSegNet's log-odds in the decision; PoseNet2D's have the rest. HandSegNet sees the person."""
+    seg_limit: float = 3.0
+    """HandSegNet's log-odds are limited to this size: it may be sure and wrong."""
+    swap_cost: float = 1.0
+    """Log-odds taken off where a hand is on the other side than HandSegNet says: most often it is right."""
+    same_place_distance: float = 0.1
+    """Two candidates that are less than this from each other (`handedness.palm_distance`) are in one place."""
+    same_place_cost: float = 1.0
+    """Log-odds taken off where two hands are in one place: of 58 such pairs in generated pictures 16 were two hands."""
+    merged_seg_weight: float = 0.4
+    """As `seg_weight`, where two candidates in one place are taken for one hand and PoseNet2D sees the whole of it.
+
+    With earlier weights the parts alone told the side of 91 % of 86 such hands in photographs, the whole of 94 %,
+    HandSegNet of 67 %. In generated pictures 0.2 to 0.5 are alike; the photographs had a say in this choice.
+    """
+    apart_distance: float = 0.4
+    """Two candidates at least this far from each other (`handedness.palm_distance`) are not one hand found twice. The
+    real crops had a say in this choice: nearer ones are doubles there more often than in generated pictures."""
+    second_hand_bonus: float = 0.75
+    """Log-odds given to a candidate apart from another that is a hand: who shows one hand mostly shows both. Chosen
+    with `provisional_logit` and `joint_score_middle` on 1,400 pictures of scene style wild, neither trained nor tested
+    on: docs/experiments.md, *The last word comes last*."""
+    provisional_logit: float = 1.0
+    """Log-odds below 0 down to which a candidate that no other is near may still be taken for a hand by `rescore`,
+    which knows more: it gives a hand of which all is certain 0.9, and takes what PoseNet2D says in a better crop."""
+    joint_score_weight: float = 4.0
+    """Log-odds for the mean score, 0..1, of a hand's joints in the last view of it, less `joint_score_middle`: the
+    joints of what is no hand are nowhere in particular.
+
+    Chosen, with 0.8 in the middle, on 4,384 hands in generated pictures and videos, of which it costs 10 (9 of the 693
+    of scene style wild), and 114 places in photographs and procedural backgrounds that both networks of preset `fast`
+    had taken for hands, of which 67 remain; two videos of the test set gave the idea. 3 to 6 are alike.
+    """
+    joint_score_middle: float = 0.775
+    """Mean score that speaks neither for nor against a hand."""
+    was_present_threshold: float = 0.1
+    """As `candidate_threshold`, for a hand that was there one frame of a video before."""
+    was_present_logit: float = 0.5
+    """Log-odds given to a hand that was there one frame before, and taken off one that was not.
+
+    In 2,100 frames of generated video, not trained or tested on, hands came or went 45 times without and 29 times with
+    it, 20 times in truth: they seldom do; 41 and 33 were missed, 50 and 52 invented. Twice as much keeps hands and
+    clutter alike.
+    """
+    uncertain_lead: float = UNCERTAIN_LEAD
+    """The background's lead, in logits, below which a pixel is perhaps a hand's."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlacementConfig:
+    """Where the hands are: `inference.placement`."""
+
+    finger_weight: float = FINGER_WEIGHT
+    """Of a finger's joint beside 1 for wrist and knuckles (`geometry.projection.range_weights`)."""
+    root_weight: float = ROOT_WEIGHT
+    """Of the root beside the other knuckles."""
+    least_score: float = LEAST_SCORE
+    """Of a joint, below which its weight falls no further."""
+    fit_tolerance: float = FIT_TOLERANCE
+    """How far, in hand lengths, a joint is seen from where the pose puts it when the fit counts it half."""
+    ray_share: float = 0.5
+    """How far the joints are pulled to the lines of sight on which PoseNet2D sees them, times their score.
+
+    Ours; the paper uses the 2D joints for the root's place alone. With earlier weights, on 1,000 test images, it
+    brought the mean camera-space error from 16.8 to 16.1 mm and the canonical AUC from .947 to .952; more brings
+    little, and bones of wrong length.
+    """
+    range_errors: tuple[float, float] | None = None
+    """Standard deviations of the logarithm of an estimated range where the joints' mean score is 1, and where it is
+    `lower_score`, as scripts/fit_range_errors.py finds them; None to take ranges as the projection gives them."""
+    lower_score: float = 0.8
+    """Mean score for which the second of `range_errors` is."""
+    usual_range_m: float = 0.47
+    """Towards which uncertain ranges are drawn. The geometric mean over the hands of scene style wild is 0.39; over
+    those that are uncertain, more."""
+    usual_spread: float = 0.35
+    """Standard deviation of the logarithm of the range, over hands of scene style wild."""
+    correlation: float = 0.41
+    """Of the logarithms of both ranges, over pairs of hands of scene style wild."""
+
+    def __post_init__(self) -> None:
+        errors = self.range_errors
+        if errors is not None and not (len(errors) == 2 and all(0 < error < math.inf for error in errors)):
+            raise CheckpointError(f"card: placement.range_errors must be two numbers larger than 0, got {list(errors)}")
+
+
+def overridden(config: Config, values: Mapping[str, Any], section: str) -> Config:
+    """A record with some values of a card.
+
+    Args:
+        config: what holds where the card is silent.
+        values: field -> number, or list of numbers; `tta_views` ready-made.
+        section: of the card, named in errors.
+
+    Raises:
+        CheckpointError: an unknown field, or a value that the record refuses.
+        TypeError, ValueError: a value that is no number.
+    """
+    unknown = sorted(set(values) - {field.name for field in fields(config)})
+    if unknown:
+        raise CheckpointError(f"card: {section} names unknown settings, {', '.join(unknown)}")
+    return replace(config, **{name: _plain(getattr(config, name), value) for name, value in values.items()})
+
+
+def _plain(default: Any, value: Any) -> Any:
+    """A JSON value as the field's kind: a number where the default is one, else a tuple or None."""
+    if isinstance(default, float):
+        number = float(value)
+        if math.isnan(number):
+            raise ValueError("a setting is not a number")
+        return number
+    if value is None or all(isinstance(item, PictureView) for item in value):
+        return None if value is None else tuple(value)
+    return tuple(float(item) for item in value)

@@ -1,0 +1,187 @@
+"""From HandSegNet's candidates to hands with keypoints: gathers what the decision needs, and carries it out.
+
+Ours; the paper crops once and takes HandSegNet's word for what it found.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from twohands.geometry.boxes import box_iou
+from twohands.geometry.segmentation import UNCERTAIN, HandBoxes, as_one_hand, log_odds, probability
+from twohands.inference.handedness import Assignment, Candidates, palm_distance, rescore
+from twohands.inference.keypoints import Keypoints, cuttable, joint_boxes, mirror_crop
+from twohands.inference.stages import Stages
+from twohands.inference.weights import WeightsCard
+from twohands.skeleton import LEFT, RIGHT
+from twohands.types import HandCrop, PinholeCamera
+
+
+class Detection(NamedTuple):
+    """What is known of the hands in one picture.
+
+    Attributes:
+        masks: (H, W) uint8, as `masks_from_logits` gives them.
+        boxes: of hands, or of candidates.
+        keypoints: of those that are present, in the order LEFT, RIGHT.
+    """
+
+    masks: np.ndarray
+    boxes: HandBoxes
+    keypoints: Keypoints
+
+
+class CandidateViews(NamedTuple):
+    """Keypoints of the candidates, one row each, however they were seen.
+
+    Attributes:
+        alone: (side, candidate) -> the candidate seen as a hand of that side.
+        merged: both candidates in one place seen as one hand, LEFT and RIGHT; None where they are not in one place.
+    """
+
+    alone: dict[tuple[int, int], Keypoints]
+    merged: Keypoints | None
+
+
+@dataclass(frozen=True, slots=True)
+class HandFinder:
+    """Stages 2 and 3 in one picture.
+
+    Attributes:
+        stages, card: of the estimator.
+        image: (H, W, 3).
+        camera: of the image.
+        keep_masks: whether masks are known and stay as they are.
+    """
+
+    stages: Stages
+    card: WeightsCard
+    image: np.ndarray
+    camera: PinholeCamera
+    keep_masks: bool = False
+
+    def crops(
+        self, masks: np.ndarray, boxes_px: np.ndarray, sides: np.ndarray, *, estimated: bool = True
+    ) -> list[HandCrop]:
+        """Crops of the given sides' boxes, boxes_px (2, 4); only estimated ones may be made smaller (`cuttable`)."""
+        chosen = [cuttable(self.card, box, self.camera) if estimated else box for box in boxes_px[sides]]
+        hands = zip(chosen, sides, strict=True)
+        return [self.stages.crop(self.image, masks, box, int(side), self.camera) for box, side in hands]
+
+    def candidates(self, found: Detection, was_present: np.ndarray | None) -> tuple[Candidates, CandidateViews]:
+        """What is known of HandSegNet's candidates; PoseNet2D sees them mirrored, or merged, where that may help.
+
+        Args:
+            found: candidates with keypoints, each as the hand that HandSegNet took it for.
+            was_present: (2,) bool, see `Candidates`.
+        """
+        rules, boxes, seen = self.card.decision, found.boxes, found.keypoints
+        own, mirrored = np.full((2, 2), np.nan)
+        own[seen.sides] = seen.hand_logits
+        alone = {(side, side): seen.rows([i]) for i, side in enumerate(seen.sides)}
+        if (seen.hand_logits < rules.mirror_below_logit).any():  # of two, both: they may have been exchanged
+            other = self.stages.keypoints([mirror_crop(crop) for crop in seen.crops])
+            mirrored[seen.sides] = other.hand_logits
+            alone |= {(1 - side, side): other.rows([i]) for i, side in enumerate(seen.sides)}
+        distance = palm_distance(seen.joints_px, boxes.boxes_px) if len(seen.sides) == 2 else math.inf
+        merged = self._merged(found) if distance < rules.same_place_distance else None
+        merged_logits = None if merged is None else merged.hand_logits
+        return Candidates(boxes.scores, own, mirrored, merged_logits, distance, was_present), CandidateViews(
+            alone, merged
+        )
+
+    def assigned(self, found: Detection, assignment: Assignment, views: CandidateViews) -> tuple[Detection, np.ndarray]:
+        """The hands that an assignment makes of candidates, with HandSegNet's scores for absent ones; and (B,) bool,
+        which of them would be cropped differently now."""
+        source = assignment.source
+        chosen = dict(views.alone)
+        if views.merged is not None and (source >= 0).sum() == 1:
+            chosen |= {(side, side): views.merged.rows([side]) for side in (LEFT, RIGHT)}
+        remaining = [chosen[int(side), int(source[side])] for side in np.flatnonzero(source >= 0)]
+        keypoints = Keypoints.joined(remaining) if remaining else found.keypoints.rows([])
+        scores = np.where(source >= 0, probability(np.nan_to_num(assignment.logits)), found.boxes.scores)
+        masks, boxes = self._answered(found, source, scores)
+        changed = (source[keypoints.sides] != keypoints.sides) | (masks is not found.masks)
+        return Detection(masks, boxes, keypoints), changed
+
+    def recropped(self, found: Detection, changed: np.ndarray | bool = False) -> Detection:
+        """Boxes of the joints; hands whose box is another one then (`recrop_below_iou`), or that are `changed`, (B,)
+        bool, are cropped and seen again."""
+        keypoints, sides = found.keypoints, found.keypoints.sides
+        boxes = joint_boxed(found.boxes, keypoints, self.image.shape[:2], self.card)
+        overlap = box_iou(found.boxes.boxes_px[sides], boxes.boxes_px[sides])
+        again = changed | (overlap < self.card.views.recrop_below_iou)
+        if again.any():
+            second = self.stages.keypoints(self.crops(found.masks, boxes.boxes_px, sides[again]))
+            keypoints = keypoints.replaced(np.flatnonzero(again), second)
+            boxes = joint_boxed(found.boxes, keypoints, self.image.shape[:2], self.card)
+        return Detection(found.masks, boxes, keypoints)
+
+    def rescored(self, found: Detection, first_logits: np.ndarray) -> Detection:
+        """The hands that are still ones after the last view of them; `first_logits`, (B,), are those of the first."""
+        sides, last = found.keypoints.sides, found.keypoints
+        scores = found.boxes.scores.copy()
+        logits = log_odds(scores[sides])
+        logits = rescore(logits, first_logits, last.hand_logits, last.joint_scores, self.card.decision)
+        scores[sides] = probability(logits)
+        found = found._replace(boxes=replace(found.boxes, scores=scores))
+        if (logits > 0).all():
+            return found
+        left = last.rows(np.flatnonzero(logits > 0))
+        source = np.where(np.isin([LEFT, RIGHT], left.sides), [LEFT, RIGHT], -1)
+        return Detection(*self._answered(found, source, scores), left)
+
+    def _merged(self, found: Detection) -> Keypoints:
+        """Both candidates as one hand, LEFT and RIGHT."""
+        crops = []
+        for side in (LEFT, RIGHT):
+            masks, box_px = as_one_hand(found.masks, found.boxes.boxes_px, side)
+            crops.append(
+                self.stages.crop(self.image, masks, cuttable(self.card, box_px, self.camera), side, self.camera)
+            )
+        return self.stages.keypoints(crops)
+
+    def _answered(self, found: Detection, source: np.ndarray, scores: np.ndarray) -> tuple[np.ndarray, HandBoxes]:
+        """Masks, known ones as they are, and boxes that agree with an answer, `Assignment.source`."""
+        boxes_px = found.boxes.boxes_px
+        masks = found.masks if self.keep_masks else corrected_masks(found.masks, source, boxes_px)
+        return masks, HandBoxes(np.where((source >= 0)[:, None], boxes_px[source], np.nan), source >= 0, scores)
+
+
+def joint_boxed(boxes: HandBoxes, keypoints: Keypoints, image_size: tuple[int, int], card: WeightsCard) -> HandBoxes:
+    """The boxes of the hands' joints in a picture of size (H, W); as they are where there is nothing to see."""
+    boxes_px = boxes.boxes_px.copy()
+    smallest_px = card.views.smallest_box_px
+    boxes_px[keypoints.sides] = joint_boxes(keypoints.joints_px, image_size, boxes_px[keypoints.sides], smallest_px)
+    return replace(boxes, boxes_px=boxes_px)
+
+
+def corrected_masks(masks: np.ndarray, source: np.ndarray, boxes_px: np.ndarray) -> np.ndarray:
+    """Masks that agree with the answer.
+
+    Args:
+        masks: (H, W) uint8, as `masks_from_logits` gives them, by HandSegNet's candidates.
+        source: (2,) as in `Assignment`.
+        boxes_px: (2, 4) u0, v0, u1, v1 of the candidates; NaN where there was none.
+
+    Returns:
+        The same array if nothing changes; else a new one, in which each candidate's pixels bear the class of the hand
+        that it is. The pixels of a candidate that is no hand go to a hand whose box meets its own, else to the
+        background.
+    """
+    classes = np.arange(1 + 2 * UNCERTAIN, dtype=np.uint8)
+    for candidate in np.flatnonzero(np.isfinite(boxes_px).all(axis=1)):
+        owners, others = np.flatnonzero(source == candidate), np.flatnonzero(source == 1 - candidate)
+        if len(owners):
+            classes[1 + candidate] = 1 + owners[0]
+        elif len(others) and box_iou(*boxes_px) > 0:
+            classes[1 + candidate] = 1 + others[0]
+        else:
+            classes[1 + candidate] = 0
+    for known in (1 + LEFT, 1 + RIGHT):
+        classes[known + UNCERTAIN] = classes[known] + UNCERTAIN if classes[known] else 0
+    return masks if classes.tolist() == list(range(len(classes))) else classes[masks]

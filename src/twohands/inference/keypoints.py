@@ -1,0 +1,199 @@
+"""Stages 2 and 3: crops of the hands, PoseNet2D, and 2D joints read from its heatmaps.
+
+Source: paper section 4.2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from twohands.geometry import heatmaps as codec
+from twohands.geometry.boxes import (
+    box_before_camera,
+    box_in_picture,
+    mirrored_columns,
+    perspective_crop,
+    points_from_crops,
+    square_crop,
+)
+from twohands.geometry.composition import compose_hand_input
+from twohands.geometry.segmentation import network_input
+from twohands.inference.weights import WeightsCard
+from twohands.skeleton import N_JOINTS, RIGHT
+from twohands.types import HandCrop, PinholeCamera
+
+PoseNet2D = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+
+@dataclass(frozen=True, slots=True)
+class Keypoints:
+    """What PoseNet2D sees in B crops; kept, chosen and exchanged together.
+
+    Attributes:
+        crops: B of them.
+        heatmaps: (B, 21 + cues, M, M).
+        joints_px: (B, 21, 2) pixels of the picture.
+        joint_scores: (B, 21) 0..1.
+        hand_logits: (B,) log-odds that a crop shows a hand of its side.
+    """
+
+    crops: list[HandCrop]
+    heatmaps: np.ndarray
+    joints_px: np.ndarray
+    joint_scores: np.ndarray
+    hand_logits: np.ndarray
+
+    @property
+    def sides(self) -> np.ndarray:
+        """(B,) LEFT or RIGHT of every crop."""
+        return np.array([crop.side for crop in self.crops], int)
+
+    def rows(self, chosen: Sequence[int] | np.ndarray) -> Keypoints:
+        """Some of the crops."""
+        rows = np.asarray(chosen, int)
+        return Keypoints([self.crops[i] for i in rows], *(values[rows] for values in self._arrays()))
+
+    def replaced(self, rows: np.ndarray, other: Keypoints) -> Keypoints:
+        """The same, with other crops in some rows."""
+        order = np.arange(len(self.crops))
+        order[rows] = len(order) + np.arange(len(rows))
+        return Keypoints.joined([self, other]).rows(order)
+
+    @staticmethod
+    def joined(parts: Sequence[Keypoints]) -> Keypoints:
+        """One after the other; at least one."""
+        if len(parts) == 1:
+            return parts[0]
+        arrays = zip(*(part._arrays() for part in parts), strict=True)
+        return Keypoints([crop for part in parts for crop in part.crops], *(np.concatenate(each) for each in arrays))
+
+    def corrected(self, joints_px: np.ndarray | None) -> Keypoints:
+        """The same with known joints, (2, 21, 2) pixels by side, NaN where unknown, or None; they have a score of 1."""
+        if joints_px is None:
+            return self
+        known_px = joints_px[self.sides]
+        known = np.asarray(np.isfinite(known_px).all(axis=-1))
+        return replace(
+            self,
+            joints_px=np.where(known[..., None], known_px, self.joints_px),
+            joint_scores=np.where(known, 1.0, self.joint_scores),
+        )
+
+    def _arrays(self) -> tuple[np.ndarray, ...]:
+        return self.heatmaps, self.joints_px, self.joint_scores, self.hand_logits
+
+
+def crop_hand(
+    card: WeightsCard,
+    image: np.ndarray,
+    masks: np.ndarray,
+    box_px: np.ndarray,
+    side: int,
+    camera: PinholeCamera,
+    image_from_boxed: np.ndarray | None = None,
+) -> HandCrop:
+    """Stage 2: the hand's square picture; the rest black or dimmed, a right hand mirrored.
+
+    Args:
+        card: of the weights.
+        image, masks: (H, W, 3) and (H, W), as `masks_from_logits` gives them.
+        box_px: (4,) u0, v0, u1, v1.
+        side: LEFT or RIGHT.
+        camera: of the image.
+        image_from_boxed: (3, 3), leads to pixels of the picture where the box is given in those of a rolled camera.
+
+    Raises:
+        InputError: there is no such crop (`perspective_crop`, `square_crop`).
+    """
+    size, margin = card.crop_size, card.crop_margin
+    if card.crop_kind == "perspective":
+        image_from_crop = perspective_crop(box_px, camera, size=size, side=side, margin=margin)
+    else:
+        image_from_crop = square_crop(box_px, size=size, side=side, margin=margin)
+    if image_from_boxed is not None:
+        image_from_crop = image_from_boxed @ image_from_crop
+    composed = compose_hand_input(image, masks, image_from_crop, side, size, card.background)
+    return HandCrop(composed, image_from_crop, side, mirrored=side == RIGHT)
+
+
+def cuttable(card: WeightsCard, box_px: np.ndarray, camera: PinholeCamera) -> np.ndarray:
+    """An estimated box, smaller where a wide camera's crop could not show all of it (`box_before_camera`)."""
+    return box_before_camera(box_px, camera) if card.crop_kind == "perspective" else box_px
+
+
+def mirror_crop(crop: HandCrop) -> HandCrop:
+    """The crop as that of a hand of the other side."""
+    from_mirrored = mirrored_columns(crop.image.shape[1])
+    image = np.ascontiguousarray(crop.image[:, ::-1])
+    return HandCrop(image, crop.image_from_crop @ from_mirrored, 1 - crop.side, mirrored=not crop.mirrored)
+
+
+def locate(network: PoseNet2D, crops: list[HandCrop]) -> tuple[np.ndarray, np.ndarray]:
+    """Stage 3, PoseNet2D: both hands in one batch -> heatmaps (B, 21 + cues, M, M), hand_logit (B,): log-odds that the
+    crops show hands of their side."""
+    return network(network_input(np.stack([crop.image for crop in crops])))
+
+
+def given_heatmaps(card: WeightsCard, heatmaps: np.ndarray, crops: list[HandCrop]) -> np.ndarray:
+    """Known maps (2, 21, M, M) by side as PoseNet2D would give them for crops, (B, 21 + cues, M, M); the cues are 0."""
+    return np.pad(heatmaps[[crop.side for crop in crops]], ((0, 0), (0, card.cues), (0, 0), (0, 0)))
+
+
+def read_out(card: WeightsCard, heatmaps: np.ndarray, crops: list[HandCrop]) -> tuple[np.ndarray, np.ndarray]:
+    """Heatmaps -> joints (B, 21, 2) in pixels of the picture, un-mirrored, and scores (B, 21) 0..1: 0 where the crop of
+    a wide camera shows what has no pixel (`points_from_crops`)."""
+    cells, scores = read_joints(heatmaps[:, :N_JOINTS], card.heatmap_decode)
+    crop_px = cells * (card.crop_size / heatmaps.shape[-1])
+    image_from_crop = np.stack([crop.image_from_crop for crop in crops])
+    joints_px, found = points_from_crops(image_from_crop, crop_px, card.crop_size)
+    return joints_px, np.where(found, scores, 0.0)
+
+
+def read_joints(maps: np.ndarray, decoder: str) -> tuple[np.ndarray, np.ndarray]:
+    """Read one joint from every heatmap.
+
+    Args:
+        maps: (..., 21, M, M), not negative where it matters.
+        decoder: "subpixel" for maps with linear output: a parabola through the logarithm about the peak, exact for a
+            Gaussian of any width; the score is the peak's value. "softargmax" for probability maps: the mean within
+            a window round the peak; the score is the share of the map's mass inside that window.
+
+    Returns:
+        (..., 21, 2) u, v in map cells, (0, 0) the outer corner, and (..., 21) scores 0..1.
+
+    Source: SPEC 3. The paper does not say how it reads its maps.
+    """
+    if decoder == "subpixel":
+        joints, peaks = codec.decode_subpixel(maps)
+        return joints, np.clip(peaks, 0.0, 1.0)
+    return codec.decode_windowed(np.asarray(maps, np.float64))
+
+
+def joint_boxes(
+    joints_px: np.ndarray, image_size: tuple[int, int], otherwise_px: np.ndarray, smallest_px: float
+) -> np.ndarray:
+    """Tight boxes of hands' joints within the picture.
+
+    Args:
+        joints_px: (B, 21, 2) pixels.
+        image_size: (H, W) of the picture.
+        otherwise_px: (B, 4) u0, v0, u1, v1 for hands whose joints span less than `smallest_px` of the picture.
+        smallest_px: `ViewConfig.smallest_box_px`.
+
+    Returns:
+        (B, 4) u0, v0, u1, v1.
+    """
+    boxes_px = np.asarray(box_in_picture(joints_px, image_size[1], image_size[0]))
+    return np.where(_large(boxes_px, smallest_px)[:, None], boxes_px, otherwise_px)
+
+
+def in_sight(joints_px: np.ndarray, image_size: tuple[int, int], smallest_px: float) -> np.ndarray:
+    """(B,) bool: whether the joints (B, 21, 2) of a hand span `smallest_px` or more of a picture of size (H, W)."""
+    return _large(np.asarray(box_in_picture(joints_px, image_size[1], image_size[0])), smallest_px)
+
+
+def _large(boxes_px: np.ndarray, smallest_px: float) -> np.ndarray:
+    return (boxes_px[:, 2:] - boxes_px[:, :2]).min(axis=1) >= smallest_px

@@ -1,0 +1,148 @@
+"""Stages 4 and 5, from 2D keypoints to metres: PoseNet3D, the global solve, and what is most likely after it.
+
+The solve is the paper's (section 4.4) with all joints for one. Two steps after it are ours. Joints are pulled to the
+lines of sight on which they are seen. And uncertain ranges are drawn towards what is usual: an estimated range is in
+error by a share of itself, and the more, the less certain the 2D joints are; hands are mostly within reach of what they
+do and of each other. Measured in docs/experiments.md, *What is usual, and the other hand*.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from twohands.geometry.camera import unproject
+from twohands.geometry.canonical import camera_from_canonical
+from twohands.geometry.projection import Method, project_global, pull_to_rays, range_weights
+from twohands.geometry.segmentation import HandBoxes
+from twohands.inference.decision import PlacementConfig
+from twohands.inference.keypoints import Keypoints
+from twohands.types import GlobalPose, HandPose, PinholeCamera
+
+METHOD: Final[Method] = "fitted"
+KEY_BONE_NAMES: Final = ("wrist", "little")
+
+
+def lift(network: Callable[[np.ndarray], np.ndarray], keypoints: Keypoints) -> np.ndarray:
+    """Stage 4, PoseNet3D: heatmaps -> canonical joints (B, 21, 3) of the real, unmirrored hands."""
+    unmirror = np.array([[-1.0 if crop.mirrored else 1.0, 1.0, 1.0] for crop in keypoints.crops])
+    return network(keypoints.heatmaps).astype(np.float64) * unmirror[:, None, :]
+
+
+def place(
+    config: PlacementConfig,
+    canonical: np.ndarray,
+    joints_px: np.ndarray,
+    joint_scores: np.ndarray,
+    camera: PinholeCamera,
+    lengths_m: np.ndarray,
+) -> GlobalPose:
+    """Stage 5: canonical joints (B, 21, 3) and joints in pixels (B, 21, 2) -> metres in camera space.
+
+    A joint that was found so far outside the picture that the lens's model has no line of sight there does not count.
+
+    Args:
+        config: how joints count.
+        canonical, joints_px, camera: as `project_global`.
+        joint_scores: (B, 21) 0..1.
+        lengths_m: (B,) |wrist - root| of every hand.
+    """
+    seen = np.isfinite(unproject(joints_px, camera)).all(axis=-1)  # (B, 21)
+    weights = range_weights(
+        joint_scores, finger=config.finger_weight, root=config.root_weight, least_score=config.least_score
+    )
+    weights = np.where(seen, weights, 0.0)
+    return project_global(
+        canonical, joints_px, camera, lengths_m, method=METHOD, weights=weights, fit_tolerance=config.fit_tolerance
+    )
+
+
+def refine(
+    config: PlacementConfig,
+    canonical: np.ndarray,
+    keypoints: Keypoints,
+    camera: PinholeCamera,
+    lengths_m: np.ndarray,
+    placed: GlobalPose,
+) -> tuple[np.ndarray, GlobalPose]:
+    """The joints pulled to their lines of sight (`pull_to_rays`), and all of it at the likely range
+    (`posterior_ranges`).
+
+    Args:
+        config: how far.
+        canonical: (B, 21, 3).
+        keypoints, camera, lengths_m: as for `place`.
+        placed: the hands as `place` puts them.
+
+    Returns:
+        Canonical joints (B, 21, 3), and the hands in metres.
+    """
+    share = config.ray_share * keypoints.joint_scores
+    canonical = pull_to_rays(canonical, keypoints.joints_px, camera, lengths_m, placed, share)
+    radius_m = posterior_ranges(placed.radius_m, keypoints.joint_scores, config)
+    joints_m = camera_from_canonical(canonical, lengths_m, radius_m, placed.theta, placed.phi)
+    finite = np.isfinite(joints_m).all(axis=(1, 2))
+    return canonical, replace(placed, joints_m=joints_m, radius_m=radius_m, valid=placed.valid & finite)
+
+
+def posterior_ranges(radius_m: np.ndarray, joint_scores: np.ndarray, config: PlacementConfig) -> np.ndarray:
+    """The most likely ranges of the hands of one picture.
+
+    The logarithms of the ranges are taken for normal, of known mean and covariance, and so are the errors of their
+    estimates, independent of each other: the result is the mean of what remains possible.
+
+    Args:
+        radius_m: (B,) estimated distances of the root joints from the pinhole, metres, of one hand or of both; NaN
+            where unknown.
+        joint_scores: (B, 21) 0..1.
+        config: what is usual, and the errors of estimates: those at other scores than the two given follow as powers.
+
+    Returns:
+        (B,) metres; NaN where it was; the estimates themselves where the config has no `range_errors`.
+    """
+    if config.range_errors is None:
+        return radius_m
+    known = np.isfinite(radius_m)
+    highest, lower = config.range_errors
+    part = (1 - joint_scores[known].mean(axis=-1)) / (1 - config.lower_score)
+    error = highest ** (1 - part) * lower**part
+    covariance = config.usual_spread**2 * np.where(np.eye(len(error)), 1.0, config.correlation)
+    usual = math.log(config.usual_range_m)
+    off = np.linalg.solve(covariance + np.diag(error**2), np.log(radius_m[known]) - usual)
+    likely = np.array(radius_m, np.float64)
+    likely[known] = np.exp(usual + covariance @ off)
+    return likely
+
+
+def hand_poses(
+    boxes: HandBoxes, keypoints: Keypoints, canonical: np.ndarray, placed: GlobalPose
+) -> tuple[HandPose, HandPose]:
+    """Everything known about the hands LEFT and RIGHT of a picture, from batches of those that are there."""
+    hands = [HandPose(present=False), HandPose(present=False)]
+    for i, side in enumerate(keypoints.sides):
+        valid = bool(placed.valid[i])
+        hands[side] = HandPose(
+            present=True,
+            score=float(boxes.scores[side]),
+            box_px=boxes.boxes_px[side],
+            joints_px=keypoints.joints_px[i],
+            joint_scores=keypoints.joint_scores[i],
+            canonical=canonical[i],
+            joints_m=np.asarray(placed.joints_m[i]) if valid else None,
+            range_m=float(placed.radius_m[i]) if valid else None,
+            theta_deg=_degrees(placed.theta[i]),
+            phi_deg=_degrees(placed.phi[i]),
+            key_bone=KEY_BONE_NAMES[int(placed.key_bone[i])],
+            method=METHOD,
+            valid=valid,
+        )
+    return hands[0], hands[1]
+
+
+def _degrees(angle: float) -> float | None:
+    """Radians in degrees; None where unknown."""
+    return math.degrees(angle) if math.isfinite(angle) else None

@@ -1,0 +1,117 @@
+"""The pipeline's stages as a record of functions, and the ground truth that may stand in for what they say.
+
+Whoever wants another stage, or wants to time one, hands `HandEstimator` another record (`dataclasses.replace`);
+nobody changes an estimator that exists.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from twohands.errors import InputError
+from twohands.geometry.segmentation import HandBoxes
+from twohands.inference import keypoints, placement, segmenter
+from twohands.inference.engine import Networks
+from twohands.inference.keypoints import Keypoints
+from twohands.inference.segmenter import HandMaps
+from twohands.inference.weights import WeightsCard
+from twohands.types import GlobalPose, HandCrop, PinholeCamera
+
+
+@dataclass(frozen=True, slots=True)
+class StageTruth:
+    """Ground truth that replaces what a stage would estimate; None leaves the stage alone. Axis order (LEFT, RIGHT).
+
+    Attributes:
+        masks: (H, W) uint8, 0 background, 1 left, 2 right.
+        boxes_px: (2, 4) tight boxes in pixels; NaN for an absent hand.
+        present: (2,) bool. A present hand still needs a box, true or estimated, to be found.
+        joints_px: (2, 21, 2) pixels; NaN for a joint that is left to the estimate.
+        heatmaps: (2, 21, M, M) maps of the crops that the pipeline cuts from its boxes; no cues come with them.
+        canonical: (2, 21, 3) unitless canonical joints of the real, unmirrored hands.
+    """
+
+    masks: np.ndarray | None = None
+    boxes_px: np.ndarray | None = None
+    present: np.ndarray | None = None
+    joints_px: np.ndarray | None = None
+    heatmaps: np.ndarray | None = None
+    canonical: np.ndarray | None = None
+
+    def hand_boxes(self) -> HandBoxes | None:
+        """The known boxes; a hand is present where its box is finite, unless `present` denies it. None for no boxes."""
+        if self.boxes_px is None:
+            return None
+        known = np.asarray(np.isfinite(self.boxes_px).all(axis=1))
+        present = known if self.present is None else np.logical_and(known, self.present)
+        return HandBoxes(np.asarray(self.boxes_px, np.float64), present, np.where(present, 1.0, 0.0))
+
+
+NO_TRUTH = StageTruth()
+
+
+@dataclass(frozen=True, slots=True)
+class Stages:
+    """The stages, each a pure function; the networks and the card are bound in.
+
+    Attributes:
+        hand_maps: image -> `segmenter.hand_maps`.
+        boxes: maps, size of the picture, ... -> `segmenter.candidate_boxes`.
+        masks: maps, size of the picture, present -> `segmenter.hand_masks`.
+        crop: image, masks, box, side, camera[, image_from_boxed] -> `keypoints.crop_hand`.
+        locate: B crops -> heatmaps (B, 21 + cues, M, M) and hand_logit (B,), `keypoints.locate`.
+        read_out: heatmaps, crops -> joints (B, 21, 2) in pixels and scores (B, 21), `keypoints.read_out`.
+        lift: keypoints -> canonical joints (B, 21, 3), `placement.lift`.
+        place: canonical, joints_px, joint_scores, camera, lengths_m -> `placement.place`.
+    """
+
+    hand_maps: Callable[[np.ndarray], HandMaps]
+    boxes: Callable[..., HandBoxes]
+    masks: Callable[..., np.ndarray]
+    crop: Callable[..., HandCrop]
+    locate: Callable[[list[HandCrop]], tuple[np.ndarray, np.ndarray]]
+    read_out: Callable[[np.ndarray, list[HandCrop]], tuple[np.ndarray, np.ndarray]]
+    lift: Callable[[Keypoints], np.ndarray]
+    place: Callable[[np.ndarray, np.ndarray, np.ndarray, PinholeCamera, np.ndarray], GlobalPose]
+
+    @classmethod
+    def of(cls, networks: Networks, card: WeightsCard) -> Stages:
+        """The stages of a set of weights."""
+        return cls(
+            hand_maps=partial(segmenter.hand_maps, networks.hand_seg_net, card),
+            boxes=partial(segmenter.candidate_boxes, card),
+            masks=partial(segmenter.hand_masks, card),
+            crop=partial(keypoints.crop_hand, card),
+            locate=partial(keypoints.locate, networks.pose_net_2d),
+            read_out=partial(keypoints.read_out, card),
+            lift=partial(placement.lift, networks.pose_net_3d),
+            place=partial(placement.place, card.placement),
+        )
+
+    def keypoints(self, crops: list[HandCrop], heatmaps: np.ndarray | None = None) -> Keypoints:
+        """PoseNet2D and read-out of B crops, at least one; or read-out of known heatmaps (B, 21 + cues, M, M)."""
+        maps, hand_logits = self.locate(crops) if heatmaps is None else (heatmaps, np.zeros(len(crops)))
+        joints_px, joint_scores = self.read_out(maps, crops)
+        return Keypoints(crops, maps, joints_px, joint_scores, hand_logits)
+
+
+def check_picture(image: np.ndarray, camera: PinholeCamera, hand_length_m: float | np.ndarray) -> None:
+    """Refuse what cannot be computed with; messages name what was found.
+
+    Raises:
+        InputError: image, camera and hand length do not fit together.
+    """
+    if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
+        raise InputError(f"image: (H, W, 3) uint8 RGB expected, got {image.shape} {image.dtype}")
+    if (camera.height, camera.width) != image.shape[:2]:
+        raise InputError(
+            f"camera is for {camera.width}x{camera.height} but the image has {image.shape[1]}x{image.shape[0]} pixels; "
+            "use camera.resized(width, height)"
+        )
+    lengths_m = np.asarray(hand_length_m, np.float64)
+    if lengths_m.shape not in ((), (2,)) or not (np.isfinite(lengths_m) & (lengths_m > 0)).all():
+        raise InputError(f"hand length must be a positive number of metres, got {hand_length_m}")
