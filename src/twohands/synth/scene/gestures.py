@@ -307,7 +307,7 @@ def flat(rng: np.random.Generator, openness: float | None = None) -> HandAngles:
 
 def _straight(rng: np.random.Generator) -> HandAngles:
     """Flat hands that bend a little back, as where they press on each other."""
-    return fingers(rng, -9, 4, [rng.uniform(15, 40), 6, 4, 4], openness=rng.uniform(-0.4, 0.1), noise=2)
+    return fingers(rng, -9, 4, [rng.uniform(15, 40), 6, 4, 4], openness=rng.uniform(-0.15, 0.2), noise=2)
 
 
 def fist(rng: np.random.Generator) -> HandAngles:
@@ -327,8 +327,13 @@ def pinching(rng: np.random.Generator) -> HandAngles:
 
 def gripping(rng: np.random.Generator) -> HandAngles:
     """About a cup or a bottle."""
-    curl = rng.uniform(0.85, 1.2)
-    return fingers(rng, curl * 34, curl * 44, [44, 46, 12, 16], openness=0.1, noise=3)
+    curl = rng.uniform(0.65, 1.05)
+    return fingers(rng, curl * 26, curl * 48, [34, 22, 14, 10], openness=0.1, noise=3)
+
+
+def cradling(rng: np.random.Generator) -> HandAngles:
+    """About a telephone that lies along the palm."""
+    return fingers(rng, rng.uniform(18, 32), rng.uniform(16, 28), [42, 12, 10, 10], noise=3)
 
 
 def pressing(rng: np.random.Generator) -> HandAngles:
@@ -505,14 +510,14 @@ def chin_rest(stage: Stage, rng: np.random.Generator) -> ArmGoal:
     along = near(rng, [-0.15, -1, -0.2], 0.15)
     palm = near(rng, [-0.6, -0.5, -0.8], 0.3)
     angles = fist(rng) if rng.random() < 0.5 else relaxed(rng)
-    return ArmGoal(place, along, palm, elbows(rng, [0.4, 1, 0.5]), angles, FINGERS_MIDDLE, slack=0.9, touches=0.035)
+    return ArmGoal(place, along, palm, elbows(rng, [0.4, 1, 0.5]), angles, FINGERS_MIDDLE, slack=0.9, touches=0.05)
 
 
 def at_ear(stage: Stage, rng: np.random.Generator) -> ArmGoal:
     """As with a telephone."""
     place = within(rng, [0.125, 0.02, -0.07], [0.16, 0.08, -0.01])
     along, palm = near(rng, [-0.1, -1, -0.35], 0.15), near(rng, [-1, 0, 0.15], 0.12)
-    return ArmGoal(place, along, palm, elbows(rng, [0.7, 1, 0.4]), gripping(rng), PALM, slack=0.8, touches=0.035)
+    return ArmGoal(place, along, palm, elbows(rng, [0.7, 1, 0.4]), cradling(rng), PALM, slack=0.8, touches=0.045)
 
 
 def at_head(stage: Stage, rng: np.random.Generator) -> ArmGoal:
@@ -536,7 +541,7 @@ def on_chest(stage: Stage, rng: np.random.Generator) -> ArmGoal:
     along = near(rng, [-1, rng.uniform(-0.6, 0.25), 0.05], 0.12)
     angles = flat(rng) if rng.random() < 0.5 else relaxed(rng)
     return ArmGoal(
-        stage.surface(place, 0.03), along, near(rng, [0, 0, -1], 0.15), elbows(rng), angles, PALM, 0.8, 0.035
+        stage.surface(place, 0.036), along, near(rng, [0, 0, -1], 0.15), elbows(rng), angles, PALM, 0.8, 0.05
     )
 
 
@@ -588,7 +593,7 @@ def reading_phone(stage: Stage, rng: np.random.Generator) -> ArmGoal:
     place = within(rng, [-0.08, 0.16, 0.2], [0.16, 0.42, 0.36])
     along = near(rng, [-1, -0.4, 0.35], 0.15)
     palm = near(rng, unit(np.array([0.0, 0.0, 0.05]) - place) + np.array([-0.2, 0, 0]), 0.12)
-    return ArmGoal(place, along, palm, elbows(rng), fingers(rng, 30, 40, [34, 40, 8, 12], noise=3), PALM, slack=0.9)
+    return ArmGoal(place, along, palm, elbows(rng), cradling(rng), PALM, slack=0.9)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -656,7 +661,7 @@ def praying(left: Stage, right: Stage, rng: np.random.Generator) -> PairGoal:
     along = near(rng, [0, -1, rng.uniform(-0.1, 0.9)], 0.08)
     across = near(rng, [1, rng.normal(0, 0.15), 0], 0.08)
     shape = _straight(rng), _straight(rng)
-    return _facing(middle, across, rng.uniform(0.015, 0.02), (along, along), shape, elbows(rng, [1, 0.7, 0]), near=0.6)
+    return _facing(middle, across, rng.uniform(0.015, 0.02), (along, along), shape, elbows(rng, [1, 0.7, 0]), near=0.4)
 
 
 def clapping(left: Stage, right: Stage, rng: np.random.Generator) -> PairGoal:
@@ -665,7 +670,7 @@ def clapping(left: Stage, right: Stage, rng: np.random.Generator) -> PairGoal:
     along = near(rng, [0, rng.uniform(-1, 0), 1], 0.12), near(rng, [rng.uniform(-0.5, 0.5), -1, 0.8], 0.12)
     across = near(rng, [1, rng.normal(0, 0.5), 0], 0.1)
     gap = rng.uniform(0.016, 0.03) if rng.random() < 0.5 else rng.uniform(0.03, 0.16, (CANDIDATES, 1))
-    return _facing(middle, across, gap, along, (flat(rng), flat(rng)), elbows(rng), slack=0.9, near=0.6)
+    return _facing(middle, across, gap, along, (flat(rng), flat(rng)), elbows(rng), slack=0.9, near=0.4)
 
 
 def _laced(rng: np.random.Generator) -> HandAngles:
@@ -711,7 +716,7 @@ def stacked(left: Stage, right: Stage, rng: np.random.Generator) -> PairGoal:
     kinds = [flat, relaxed, mostly_pointing, fist]
     open_hand, other = flat(rng), kinds[int(rng.choice(4, p=[0.4, 0.2, 0.25, 0.15]))](rng)
     shape = (open_hand, other) if rng.random() < 0.5 else (other, open_hand)
-    return _facing(middle, across, rng.uniform(0.016, 0.035), along, shape, elbows(rng), slack=1.1, near=0.25)
+    return _facing(middle, across, rng.uniform(0.016, 0.035), along, shape, elbows(rng), slack=1.1, near=0.1)
 
 
 def framing(left: Stage, right: Stage, rng: np.random.Generator) -> PairGoal:
@@ -735,14 +740,14 @@ def folded(left: Stage, right: Stage, rng: np.random.Generator) -> PairGoal:
     for side, stage in ((LEFT, left), (RIGHT, right)):
         over = side == upper
         lower = height - 0.01 if over else height + 0.05
-        place = within(rng, [-0.2, lower - 0.03, 0], [-0.13, lower + 0.04, 0])
+        place = within(rng, [-0.17, lower - 0.03, 0], [-0.09, lower + 0.04, 0])
         place = stage.surface(place, 0.085 if over else 0.035)
         place[:, 2] = np.maximum(place[:, 2], rng.uniform(0.06, 0.1) if over else 0.02)
-        along = near(rng, [-1, rng.uniform(-0.45, 0), 0.05], 0.1)
+        along = near(rng, [-1, rng.uniform(-0.45, 0), -0.25], 0.1)
         shape = relaxed(rng) if rng.random() < 0.6 else flat(rng, -0.1)
         elbow = elbows(rng, [0.7, 1, -0.1])
-        goals.append(ArmGoal(place, along, near(rng, [0, 0.1, -1], 0.15), elbow, shape, PALM, 0.9, touches=0.07))
-    return PairGoal((goals[0], goals[1]), near=0.3)
+        goals.append(ArmGoal(place, along, near(rng, [0, 0.1, -1], 0.15), elbow, shape, PALM, 0.9, touches=0.08))
+    return PairGoal((goals[0], goals[1]), near=0.1)
 
 
 def both_at_face(left: Stage, right: Stage, rng: np.random.Generator) -> PairGoal:

@@ -17,6 +17,8 @@ from twohands.synth.scene.collision import capsules, segment_distance
 from twohands.synth.scene.pose import unit
 from twohands.synth.scene.things import NO_LABEL, Thing, grasped, grid_faces, muted_colour, vertex_normals
 
+CUP_REACH_M: Final = 0.024
+"""A cup or bottle is at most this far from palm and fingers."""
 _CORNERS: Final = 5
 """Vertices along the rounding of a slab's corner."""
 
@@ -349,7 +351,7 @@ def phone_in_hand(body: Body, joints: np.ndarray, side: int, up: np.ndarray, rng
 
 def rod_in_hand(body: Body, joints: np.ndarray, side: int, up: np.ndarray, rng: np.random.Generator) -> Thing | None:
     """A cup, glass, bottle, can or stick as thick as the hand is open; arguments as of `phone_in_hand`."""
-    rod = grasped(body, joints, np.arange(2) == side, side, rng, (0.04, 0.05))
+    rod = grasped(body, joints, np.arange(2) == side, side, rng, (0.04, 0.05), CUP_REACH_M)
     if rod is None:
         return None
     centre, axis, _, radius = rod
@@ -363,7 +365,7 @@ def rod_in_hand(body: Body, joints: np.ndarray, side: int, up: np.ndarray, rng: 
     radius *= 0.97
     if radius < 0.017:
         return stick(rng, radius, rng.uniform(0.06, 0.09)).placed(frame, centre)
-    mesh = mug(rng, radius) if radius > 0.026 and rng.random() < 0.6 else bottle(rng, radius)
+    mesh = mug(rng, radius) if radius > 0.021 and rng.random() < 0.6 else bottle(rng, radius)
     return mesh.placed(frame, centre + axis * rng.uniform(-0.01, 0.02))
 
 

@@ -348,6 +348,7 @@ def grasped(
     side: int,
     rng: np.random.Generator,
     half_lengths: tuple[float, float] = (0.02, 0.09),
+    reach_m: float = REACH_M,
 ) -> tuple[np.ndarray, np.ndarray, float, float] | None:
     """The thickest rod that fits between palm and fingers.
 
@@ -358,6 +359,7 @@ def grasped(
         side: whose hand holds it.
         rng: the only source of randomness.
         half_lengths: range of half its length, metres, even in the logarithm.
+        reach_m: it is at most this far from the palm and from two fingers.
 
     Returns:
         Its centre (3,), its axis (3,) from the little finger's side to the index finger's, half its length and its
@@ -384,7 +386,7 @@ def grasped(
         return None
     own_gaps = gaps[best][own]
     palm, fingers = own_gaps[1:5].min(), np.sort(own_gaps[5:].reshape(5, 3).min(1))
-    if palm > radius + REACH_M or fingers[1] > radius + REACH_M:
+    if palm > radius + reach_m or fingers[1] > radius + reach_m:
         return None
     return centres[best], axis, half_length, radius
 

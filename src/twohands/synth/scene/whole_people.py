@@ -30,7 +30,7 @@ from twohands.synth.scene.things import Thing, muted_colour
 from twohands.synth.scene.views import Viewpoint, sample_viewpoint
 from twohands.synth.scene.wardrobe import Someone, sample_look, sample_someone
 
-MAX_TRIES, TRIES_PER_VIEW = 160, 8
+MAX_TRIES, TRIES_PER_VIEW, TRIES_PER_PLAN = 160, 8, 4
 MIN_INSIDE: Final = 6
 """So many of a hand's 21 joints lie in the picture, or the hand is absent."""
 SHOWN_INSIDE: Final = 9
@@ -43,6 +43,11 @@ OTHERS: Final = (0.78, 0.17, 0.05)
 HANDLESS: Final = 0.1
 """Share of pictures of people who show no hand on purpose; some rest in the picture all the same."""
 
+SEATED: Final = {"webcam": 0.8, "selfie": 0.3, "room": 0.35, "shoulder": 0.9, "above": 1.0}
+WITH_TABLE: Final = {"webcam": 0.35, "selfie": 0.1, "room": 0.3, "shoulder": 0.8, "above": 1.0}
+"""Shares of people who sit, and of those at a table, by the style of the view."""
+LOWEST_OVER_TABLE_M: Final = 0.3
+"""A camera farther below the eyes would look at the table from beneath."""
 MOVING: Final = 0.3
 """Share of pictures in which arms move during the exposure."""
 TURNS_RAD: Final = (0.03, 0.3)
@@ -180,13 +185,8 @@ def figure(someone: Someone) -> Figure:
 
 def sample_posture(view: Viewpoint, rng: np.random.Generator) -> Posture:
     """Sits or stands as the view makes likely, leans a little, turns and tilts the head."""
-    seated = bool(
-        rng.random() < {"webcam": 0.8, "selfie": 0.3, "room": 0.35, "shoulder": 0.9, "above": 1.0}[view.style]
-    )
-    at_table = (
-        seated
-        and rng.random() < {"webcam": 0.35, "selfie": 0.1, "room": 0.3, "shoulder": 0.8, "above": 1.0}[view.style]
-    )
+    seated = bool(rng.random() < SEATED[view.style])
+    at_table = seated and rng.random() < WITH_TABLE[view.style] and view.place[1] < LOWEST_OVER_TABLE_M
     lean, aside = np.radians(rng.normal(-4 if seated else 0, 7 if seated else 4)), np.radians(rng.normal(0, 3))
     turns = np.tile(np.eye(3), (len(BODY_BONES), 1, 1))
     nod, turn, tilt = np.radians(rng.normal([-25 if view.style == "above" else -3, 0, 0], [8, 12, 6]))
@@ -411,7 +411,8 @@ def draw_people(
             viewpoint = sample_viewpoint(config, rng)
             posture = sample_posture(viewpoint, rng)
             view = after(viewpoint.view, np.c_[posture.lean, np.zeros(3)])
-        chosen, seen = _plan(viewpoint, posture, handless, rng)
+        if attempt % TRIES_PER_PLAN == 0:
+            chosen, seen = _plan(viewpoint, posture, handless, rng)
         arms = pose_arms(person, posture, chosen, seen, view, viewpoint, config, rng)
         if arms is not None:
             break
@@ -472,7 +473,7 @@ def _lighting(config: SynthConfig, viewpoint: Viewpoint, rng: np.random.Generato
     return dataclasses.replace(
         lighting,
         positions=moved(viewpoint.view, positions * farther),
-        colours=lighting.colours * farther**2,
+        colours=lighting.colours * farther**2 * np.exp(rng.uniform(0.0, 0.75)),
         sky=lighting.sky * ambient,
         ground=lighting.ground * ambient,
     )
@@ -510,9 +511,8 @@ def _held(
 ) -> Thing | None:
     """What one hand holds that makes this gesture."""
     if doing == "holding":
-        if rng.random() < 0.25:
-            return props.phone_in_hand(body, joints, side, up, rng)
-        return props.rod_in_hand(body, joints, side, up, rng)
+        rod = None if rng.random() < 0.2 else props.rod_in_hand(body, joints, side, up, rng)
+        return props.phone_in_hand(body, joints, side, up, rng) if rod is None else rod
     if doing in ("reading_phone", "at_ear"):
         return props.phone_in_hand(body, joints, side, up, rng)
     if doing == "writing":
