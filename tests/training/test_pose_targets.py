@@ -205,3 +205,11 @@ def test_half_of_the_crops_are_rolled():
     rolled = [not np.allclose(canonical, upright, atol=1e-5) for canonical in drawn]
     assert 15 < sum(rolled) < 45
     np.testing.assert_allclose(target(sample(3), LEFT, 128, config).canonical, upright)  # validation is upright
+
+
+def test_a_joint_counts_as_much_as_its_label_is_trusted():
+    original = sample(4)
+    confidence = np.ones((2, 21))
+    confidence[LEFT, 4], confidence[LEFT, 8] = 0.25, 0.0
+    found = target(dataclasses.replace(original, confidence=confidence), LEFT, 128, OUR_CROP)
+    assert found.weight[[4, 8]].tolist() == [0.25, 0.0] and found.weight.sum() == 19.25

@@ -90,7 +90,7 @@ class PoseTarget:
     Attributes:
         image: (S, S, 3) uint8 RGB, composed crop.
         joints_px: (21, 2) float32 in crop pixels, 0 where `weight` is 0.
-        weight: (21,) float32, 1 for a labelled joint inside the crop, else 0.
+        weight: (21,) float32, for a labelled joint inside the crop 1 or `HandSample.confidence`, else 0.
         canonical: (21, 3) float32, x mirrored for right hands; 0 where unknown.
         canonical_weight: (21,) float32, 1 where `canonical` is known.
         distance: root's distance from the pinhole over the hand length; 0 where unknown.
@@ -208,7 +208,7 @@ def pose_target(
     return PoseTarget(
         image=composed,
         joints_px=np.where(inside[:, None], crop_joints, 0.0).astype(np.float32),
-        weight=inside.astype(np.float32),
+        weight=(inside if sample.confidence is None else inside * sample.confidence[side]).astype(np.float32),
         canonical=canonical.astype(np.float32),
         canonical_weight=has_3d.astype(np.float32),
         distance=distance,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -129,17 +130,41 @@ class SegmentationStage(Stage):
         return {"hand_seg_net": self.net}
 
 
-def heatmap_targets(batch: Batch, config: TrainConfig) -> Tensor:
-    """Target maps (N, 21, M, M) with peak 1; the spread carries the depth if the run asks for z-heatmaps."""
-    net = config.networks.pose_net_2d
-    z = batch["canonical"][..., 2] if config.loss.z_heatmaps else None
+def heatmap_targets(batch: Batch, config: TrainConfig, believed: Tensor | None = None) -> Tensor:
+    """Target maps (N, 21, M, M) with peak 1; the spread carries the depth if the run asks for z-heatmaps.
+
+    Args:
+        batch: crops of hands.
+        config: the run.
+        believed: (N, 21) depths that stand for unknown ones; 0 if None.
+    """
+    net, z = config.networks.pose_net_2d, None
+    if config.loss.z_heatmaps:
+        z = batch["canonical"][..., 2]
+        if believed is not None:
+            z = torch.where(batch["canonical_weight"] > 0, z, believed)
     return encode_heatmaps(batch["joints_px"], crop_size=net.crop_size, map_size=net.map_size, sigma=net.sigma, z=z)
+
+
+def believed_depth(net: PoseNet2D, maps: Tensor) -> Tensor:
+    """Depths (N, 21) that the spread of a network's maps (N, 21, M, M) tells, without gradient.
+
+    A hand labelled in 2D alone is to teach where its joints are, not how deep: a target that is spread as the network's
+    own answer leaves that answer's depth alone. The spread is that of the Gaussian with the same entropy. Maps that are
+    no distributions give 0.
+    """
+    if net.config.activation != "softmax":
+        return maps.new_zeros(maps.shape[:2])
+    shares = net.probabilities(maps.detach())
+    entropy = -torch.xlogy(shares, shares).sum(dim=(2, 3))
+    log_variance = entropy - math.log(2 * math.pi * math.e)
+    return (2 * math.log(net.config.sigma) - log_variance) / math.log(2)
 
 
 def heatmap_losses(net: PoseNet2D, outputs: Sequence[Tensor], batch: Batch, config: TrainConfig) -> Losses:
     """PoseNet2D's losses: the paper's mean squared error, or cross-entropy plus L1 on the soft-argmax."""
-    target, weight = heatmap_targets(batch, config), batch["weight"]
     outputs = [maps[:, :N_JOINTS] for maps in outputs]
+    target, weight = heatmap_targets(batch, config, believed_depth(net, outputs[-1])), batch["weight"]
     if config.loss.heatmap == "mse":
         return {"heatmap": losses.heatmap_mse(outputs, target, weight, config.loss.reduction)}
     cells = batch["joints_px"] * (net.config.map_size / net.config.crop_size)
