@@ -79,6 +79,11 @@ class Digits:
         self.names = tuple(names[i] for i in chosen)
         self.persons = persons[chosen]
 
+    @staticmethod
+    def is_at(folder: str | os.PathLike[str]) -> bool:
+        """Whether a folder holds such photographs."""
+        return os.path.isfile(os.path.join(folder, LABELS_FILE))
+
     @property
     def name(self) -> str:
         """Name and part."""

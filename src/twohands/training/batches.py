@@ -69,6 +69,27 @@ class IndexRange:
 
 
 @dataclass(frozen=True)
+class Picked:
+    """Some pictures of another source."""
+
+    source: SampleSource
+    indices: tuple[int, ...]
+
+    @classmethod
+    def evenly(cls, source: SampleSource, count: int) -> Picked:
+        """So many pictures, evenly spread over all."""
+        return cls(source, tuple(len(source) * i // count for i in range(count)))
+
+    def __len__(self) -> int:
+        return len(self.indices)
+
+    def __getitem__(self, index: int, /) -> HandSample:
+        if not 0 <= index < len(self):
+            raise IndexError(index)
+        return self.source[self.indices[index]]
+
+
+@dataclass(frozen=True)
 class Joined:
     """Several sources, one after the other."""
 

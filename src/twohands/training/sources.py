@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
+from twohands.datasets.digits import Digits
 from twohands.errors import InputError
-from twohands.training.batches import IndexRange, Joined, SampleSource
+from twohands.training.batches import IndexRange, Joined, Picked, SampleSource
 from twohands.training.config import DataConfig
 
 if TYPE_CHECKING:
@@ -26,12 +27,13 @@ def open_source(spec: DataConfig) -> tuple[SampleSource, SampleSource]:
     """Training and held-out pictures.
 
     Args:
-        spec: `source` names folders, of instances, of tar shards or of cached frames, or is "synthetic". A folder named
-            twice is drawn from twice as often, and held out once.
+        spec: `source` names folders, of instances, of tar shards, of cached frames or of photographed digits
+            (`datasets.digits`), or is "synthetic". A folder named twice is drawn from twice as often, and held out
+            once. Photographed hands are put before the backgrounds and on the people of the cached frames named beside.
 
     Returns:
         (training, validation); the validation pictures come from the end of every source, at most a tenth of it, and
-        share no frame with the training pictures.
+        share no frame with the training pictures. Those of photographed digits show the people that `Digits` holds out.
 
     Raises:
         InputError: no such source, it is empty, or there are backgrounds for pictures that all have theirs.
@@ -42,14 +44,18 @@ def open_source(spec: DataConfig) -> tuple[SampleSource, SampleSource]:
     names = [name.strip() for name in spec.source.split(",")]
     folders = dict.fromkeys(names)
     share, behind = spec.validation // len(folders), cache(lambda: backgrounds_of(spec))
-    opened = {name: _open_folder(name, spec, share, behind) for name in folders}
-    if spec.backgrounds and not any(_is_cache(Path(name)) for name in folders):
+    digits = [name for name in folders if Digits.is_at(name)]
+    opened = {name: _open_folder(name, spec, share, behind) for name in folders if name not in digits}
+    frames = [parts for name, parts in opened.items() if _is_cache(Path(name))]
+    if spec.backgrounds and not (frames or digits):
         raise InputError(
-            f"backgrounds '{spec.backgrounds}' go behind cached frames and '{SYNTHETIC}' pictures alone, "
-            f"not behind those of {', '.join(folders)}: leave them out"
+            f"backgrounds '{spec.backgrounds}' go behind cached frames, photographed digits and '{SYNTHETIC}' pictures "
+            f"alone, not behind those of {', '.join(folders)}: leave them out"
         )
+    for name in digits:
+        opened[name] = _open_digits(Path(name), spec, share, behind(), frames)
     training = tuple(opened[name][0] for name in names)
-    return Joined(training), Joined(tuple(held_out for _, held_out in opened.values()))
+    return Joined(training), Joined(tuple(opened[name][1] for name in folders))
 
 
 def _open_folder(
@@ -75,6 +81,26 @@ def _open_folder(
     from twohands.datasets.shards import open_ego3dhands
 
     return split(open_ego3dhands(folder).leaving_out({fmt.DEPTH_FILE}), validation)
+
+
+def _open_digits(
+    folder: Path,
+    spec: DataConfig,
+    validation: int,
+    backgrounds: Backgrounds,
+    frames: Sequence[tuple[SampleSource, SampleSource]],
+) -> tuple[SampleSource, SampleSource]:
+    """Training and held-out pictures of photographed hands, before training and held-out people."""
+    from twohands.synth.sets.cache import FrameCache
+    from twohands.training.cutouts import CutoutScenes
+
+    def scenes(part: Literal["training", "held-out"], people: Sequence[SampleSource], variants: int) -> CutoutScenes:
+        caches = [source for source in people if isinstance(source, FrameCache) and len(source)]
+        return CutoutScenes(Digits(folder, part), backgrounds, caches, seed=spec.seed, variants=variants)
+
+    training = scenes("training", [shown for shown, _ in frames], spec.variants)
+    held_out = scenes("held-out", [kept for _, kept in frames], 1)
+    return training, Picked.evenly(held_out, min(validation, len(held_out)))
 
 
 def _is_cache(folder: Path) -> bool:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 
@@ -174,6 +174,42 @@ def lit_anew(rgb: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return np.asarray(cv2.LUT(rgb, table[None]))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class StoredFrame:
+    """A rendered frame without background, as `RenderedFrame` has it.
+
+    Attributes:
+        rgb: (H, W, 3) uint8, straight colour.
+        alpha: (H, W) uint8; what has alpha and no label is no part of a labelled hand.
+        labels: (H, W) uint8 part labels 0..14.
+        joints_m: (2, 22, 3) float64, camera frame, metres; NaN for an absent hand.
+        present: (2,) bool.
+        turns: see `room_behind`; `NO_PEOPLE` where nobody whole is in it.
+    """
+
+    rgb: np.ndarray
+    alpha: np.ndarray
+    labels: np.ndarray
+    joints_m: np.ndarray
+    present: np.ndarray
+    turns: int
+
+    @property
+    def whole(self) -> bool:
+        """Whether whole people are in it, and not arms before solids."""
+        return self.turns != NO_PEOPLE
+
+    def behind(self, backgrounds: Backgrounds, rng: np.random.Generator, camera: PinholeCamera) -> np.ndarray:
+        """(H, W, 3) uint8, a background that fits it."""
+        if self.whole:
+            return room_behind(backgrounds, rng, camera, self.turns).picture
+        return backgrounds.sample(rng, camera).picture
+
+    def relit(self, rng: np.random.Generator) -> np.ndarray:
+        """(H, W, 3) uint8, its colours in another light: one lamp lights an arm and the rest of its person."""
+        return lit_anew(self.rgb, rng) if self.whole else vary_arms(self.rgb, self.labels, rng)
+
+
 class FrameCache:
     """Reads a cache as labelled samples, every frame `variants` times over with different backgrounds.
 
@@ -227,36 +263,41 @@ class FrameCache:
     def __len__(self) -> int:
         return len(self.indices) * self.variants
 
+    def stored(self, offset: int) -> tuple[StoredFrame, PinholeCamera]:
+        """One of the used frames as it was rendered, 0 <= offset < len(indices), and its camera."""
+        at = self.indices[offset]
+        arrays = self._arrays
+        rgba = np.asarray(arrays["rgba"][at])
+        frame = StoredFrame(
+            cv2.cvtColor(rgba, cv2.COLOR_RGBA2RGB),
+            rgba[..., 3],
+            np.asarray(arrays["labels"][at]),
+            np.asarray(arrays["joints"][at], np.float64),
+            np.asarray(arrays["present"][at]),
+            int(self._turns[at]),
+        )
+        fx, fy, cx, cy = map(float, arrays["intrinsics"][at])
+        return frame, PinholeCamera(fx, fy, cx, cy, self._width, self._height)
+
     def __getitem__(self, index: int) -> HandSample:
         if not 0 <= index < len(self):
             raise IndexError(f"sample {index} of {len(self)}")
         variant, offset = divmod(index, len(self.indices))
-        at = self.indices[offset]
-        arrays = self._arrays
-        rgba = np.asarray(arrays["rgba"][at])
-        labels = np.asarray(arrays["labels"][at])
+        frame, camera = self.stored(offset)
+        labels, joints_m, present = frame.labels, frame.joints_m, frame.present
         # Keyed by the frame itself, so that held-out frames never share a draw with training ones.
-        rng = instance_rng(self.seed, variant * len(arrays["present"]) + at, "variant")
-        fx, fy, cx, cy = map(float, arrays["intrinsics"][at])
-        camera = PinholeCamera(fx, fy, cx, cy, self._width, self._height)
-        turns = int(self._turns[at])
-        whole = turns != NO_PEOPLE
-        if whole:
-            background = room_behind(self.backgrounds, rng, camera, turns).picture
-        else:
-            background = self.backgrounds.sample(rng, camera).picture
-        colour, alpha = cv2.cvtColor(rgba, cv2.COLOR_RGBA2RGB), rgba[..., 3]
+        number = variant * len(self._arrays["present"]) + self.indices[offset]
+        rng = instance_rng(self.seed, number, "variant")
+        background = frame.behind(self.backgrounds, rng, camera)
         if rng.random() < self.empty_rate:
-            hidden = alpha > 0 if whole else labels > 0
-            image = compose(colour, np.where(hidden, np.uint8(0), alpha), background)
+            hidden = frame.alpha > 0 if frame.whole else labels > 0
+            image = compose(frame.rgb, np.where(hidden, np.uint8(0), frame.alpha), background)
             labels, joints_m, present = np.zeros_like(labels), np.full((2, 22, 3), np.nan), np.zeros(2, bool)
         else:
-            # One lamp lights an arm and the rest of its person.
-            image = compose(lit_anew(colour, rng) if whole else vary_arms(colour, labels, rng), alpha, background)
-            joints_m, present = np.asarray(arrays["joints"][at], np.float64), np.asarray(arrays["present"][at])
+            image = compose(frame.relit(rng), frame.alpha, background)
         hand = joints_m[:, 1:]
         return HandSample(
-            image=expose(image, (sample_webcam if whole else sample_sensor)(self._sensor, rng), rng),
+            image=expose(image, (sample_webcam if frame.whole else sample_sensor)(self._sensor, rng), rng),
             camera=camera,
             present=present,
             joints_px=project(hand, camera),
