@@ -39,9 +39,9 @@ def write_frames(folder: Path, count: int = 3, present: tuple[bool, bool] = (Tru
             joints = sample.joints_m[side]
             elbow = joints[0] + [0, 0.2, 0]
             arrays["joints"][i, side] = np.vstack([elbow, joints])
-            ends = [camera.fx * p[:2] / p[2] + [camera.cx, camera.cy] for p in (elbow, joints[0])]
+            start, end = (camera.fx * p[:2] / p[2] + [camera.cx, camera.cy] for p in (elbow, joints[0]))
             arm = np.zeros_like(labels)
-            cv2.line(arm, *(np.rint(end).astype(int).tolist() for end in ends), 1, 12)
+            cv2.line(arm, np.rint(start).astype(int).tolist(), np.rint(end).astype(int).tolist(), 1, 12)
             labels[(arm > 0) & (labels == 0)] = 1 + 7 * side
         rgba[labels > 0] = (200, 150, 120, 255)
         arrays["labels"][i] = labels
