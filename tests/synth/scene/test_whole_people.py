@@ -13,6 +13,7 @@ from twohands.synth.scene.spec import moved
 from twohands.synth.scene.views import STYLES, quarter_turns, sample_viewpoint
 from twohands.synth.scene.wardrobe import sample_someone
 from twohands.synth.sets.instances import sample_scene
+from twohands.synth.sets.seeds import stream_seed
 
 CONFIG = dataclasses.replace(WILD, width=480, height=270, people=1.0)
 
@@ -132,3 +133,11 @@ def test_people_share_a_set_with_arms():
     assert 5 < sum(kinds) < 25
     arms = kinds.index(False)
     np.testing.assert_array_equal(sample_scene(some, 2, arms).joints_m, sample_scene(none, 2, arms).joints_m)
+
+
+@pytest.mark.parametrize("index", [18, 103])
+def test_bodies_that_cannot_be_posed_give_way_to_others(index):
+    """Named case: a cache ended with "no pose of a whole person fits the picture", for somebody whose own fingers
+    touch in every pose."""
+    config = dataclasses.replace(WILD, width=640, height=360, people=1.0)
+    assert sample_scene(config, stream_seed(203, "frames"), index).people

@@ -30,7 +30,7 @@ from twohands.synth.scene.things import Thing, muted_colour
 from twohands.synth.scene.views import Viewpoint, sample_viewpoint
 from twohands.synth.scene.wardrobe import Someone, sample_look, sample_someone
 
-MAX_TRIES, TRIES_PER_VIEW, TRIES_PER_PLAN = 160, 8, 4
+MAX_TRIES, TRIES_PER_PERSON, TRIES_PER_VIEW, TRIES_PER_PLAN = 480, 24, 8, 4
 MIN_INSIDE: Final = 6
 """So many of a hand's 21 joints lie in the picture, or the hand is absent."""
 SHOWN_INSIDE: Final = 9
@@ -405,8 +405,10 @@ def draw_people(
     Raises:
         InputError: no camera of this configuration sees a hand.
     """
-    person, handless = figure(sample_someone(rng)), bool(rng.random() < HANDLESS)
+    handless = bool(rng.random() < HANDLESS)
     for attempt in range(MAX_TRIES):
+        if attempt % TRIES_PER_PERSON == 0:  # the fingers of some touch each other in every pose
+            person = figure(sample_someone(rng))
         if attempt % TRIES_PER_VIEW == 0:
             viewpoint = sample_viewpoint(config, rng)
             posture = sample_posture(viewpoint, rng)
@@ -473,7 +475,7 @@ def _lighting(config: SynthConfig, viewpoint: Viewpoint, rng: np.random.Generato
     return dataclasses.replace(
         lighting,
         positions=moved(viewpoint.view, positions * farther),
-        colours=lighting.colours * farther**2 * np.exp(rng.uniform(0.0, 0.75)),
+        colours=lighting.colours * farther**2 * np.exp(rng.normal(0.3, 0.25)),
         sky=lighting.sky * ambient,
         ground=lighting.ground * ambient,
     )

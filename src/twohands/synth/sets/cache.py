@@ -38,8 +38,9 @@ FORMAT = "frames-3"
 static set of the same seed."""
 NO_PEOPLE = -1
 """Stands in "turns" for frames that show no whole people."""
-GLARE_RATE = 0.1
-"""Share of arms lit so brightly that parts of them are white, as in pictures of Ego3DHands."""
+GLARE_RATE, PERSON_GLARE_RATE = 0.1, 0.02
+"""Share of arms lit so brightly that parts of them are white, as in pictures of Ego3DHands, and of whole people, for
+whom cameras expose."""
 
 
 def _layout(config: SynthConfig, count: int) -> dict[str, tuple[tuple[int, ...], type]]:
@@ -163,9 +164,9 @@ def vary_arms(rgb: np.ndarray, labels: np.ndarray, rng: np.random.Generator) -> 
     return out
 
 
-def lit_anew(rgb: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """The picture (H, W, 3) uint8 in a random exposure, contrast and tint."""
-    glare = rng.uniform(0.2, 1.2) if rng.random() < GLARE_RATE else 0.0
+def lit_anew(rgb: np.ndarray, rng: np.random.Generator, glare_rate: float = GLARE_RATE) -> np.ndarray:
+    """The picture (H, W, 3) uint8 in a random exposure, contrast and tint; in a share of them parts are white."""
+    glare = rng.uniform(0.2, 1.2) if rng.random() < glare_rate else 0.0
     warmth = rng.normal(0, 0.09)  # lamps differ between blue and yellow much more than towards green
     tint = np.array([warmth, 0.0, -warmth]) + rng.normal(0, 0.03, 3)
     gain = np.exp(rng.normal(0.05, 0.28) + glare + tint)
@@ -207,7 +208,7 @@ class StoredFrame:
 
     def relit(self, rng: np.random.Generator) -> np.ndarray:
         """(H, W, 3) uint8, its colours in another light: one lamp lights an arm and the rest of its person."""
-        return lit_anew(self.rgb, rng) if self.whole else vary_arms(self.rgb, self.labels, rng)
+        return lit_anew(self.rgb, rng, PERSON_GLARE_RATE) if self.whole else vary_arms(self.rgb, self.labels, rng)
 
 
 class FrameCache:
