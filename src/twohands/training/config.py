@@ -54,7 +54,8 @@ class DataConfig:
     seed: int = 0
     """Seed of sources that make their pictures."""
     backgrounds: str = ""
-    """Folders of photographs to put behind rendered and cut-out hands, separated by commas; procedural backgrounds if empty."""
+    """Folders of photographs to put behind rendered and cut-out hands, separated by commas; procedural backgrounds if
+    empty."""
     procedural: float = 0.4
     """Share of procedural backgrounds, flat pictures and rooms alike, among the photographs; the folders share the
     rest equally."""

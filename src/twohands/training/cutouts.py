@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache
 
+import cv2
 import numpy as np
 
 from twohands.datasets.cutting import CutOut, cut_out
@@ -41,10 +42,13 @@ SAME_PERSON = 0.75
 """Share of second hands that are another picture of the first one's owner."""
 EXTENT_PX = (20.0, 300.0)
 """Range of the larger side of a hand's box, even in the logarithm, in a picture 640 pixels wide."""
+MOST_TAKEN = 0.02
+"""An arm that covers more of the picture than this is not taken away for a photographed hand with another arm: too much
+of what it hides, perhaps a face, would have to be made up."""
 ONE_OF_TWO = 0.25
 """Share of people with two hands of whom one hand alone is replaced."""
-OWN_COLOUR = 0.4
-"""Share of people whose new hands keep the colour of their skin: their arms have another."""
+OWN_COLOUR = 0.3
+"""Share of people whose new hands keep half of their own colour: their arms have another."""
 AS_LARGE = 0.7
 """Share of hands before people that are about as large as these people's own."""
 PALMS = 2.2
@@ -145,10 +149,13 @@ class CutoutScenes:
         frame = replace(frame, rgb=frame.relit(rng))
         background = frame.behind(self.backgrounds, rng, camera)
         places = [seat for side in (LEFT, RIGHT) if (seat := seat_of(frame, camera, side)) is not None]
-        if places and rng.random() < ON_ARMS:
+        arms = [cv2.countNonZero(parts_of(frame.labels, [side], 0).astype(np.uint8)) for side in (LEFT, RIGHT)]
+        free = [side for side in (LEFT, RIGHT) if arms[side] <= MOST_TAKEN * frame.labels.size]
+        if places and (rng.random() < ON_ARMS or not free):
             return self._on_arms(frame, camera, background, places, number, rng)
-        unseen = [side for side in (LEFT, RIGHT) if side not in {seat.side for seat in places}]
-        taken = (unseen or [int(rng.integers(2))])[:1] if rng.random() < 0.5 else [LEFT, RIGHT]
+        if not free:
+            return self._without_person(number, rng)
+        taken = free if rng.random() < 0.5 else free[-1:]
         gone = parts_of(frame.labels, taken, 0)
         kept = [side for side in (LEFT, RIGHT) if side not in taken]
         picture = rendered_picture(without(frame, gone), camera, background, kept)

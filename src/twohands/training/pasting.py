@@ -29,8 +29,9 @@ LIGHT = 2.2
 """Exponent from grey levels to light."""
 SMALLER, LARGER = 0.75, 1.5
 """Scales below and above which a cut-out is averaged and its edge kept sharp."""
-FADE = np.array([0.15, 0.45])
-"""Of a forearm on a rendered one: where it fades, beyond the wrist, in distances from wrist to middle knuckle."""
+FADE, HEM = (0.15, 0.45), (0.1, 0.3)
+"""Where a forearm fades into a bare one and ends before a sleeve, beyond the wrist, in distances from there to the
+middle knuckle."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -202,7 +203,7 @@ def paste(
     """
     alpha, beyond = cut.alpha, _beyond_wrist(cut)
     if fade or under is not None:
-        low, high = FADE * (1 if fade else 1.5)
+        low, high = FADE if fade else HEM
         alpha = (alpha * np.clip((high - beyond) / (high - low), 0, 1)).astype(np.uint8)
     forearm = (beyond > 0).astype(np.uint8) * 255
     layers = np.dstack([changed(cut, look), alpha])

@@ -19,6 +19,8 @@ from twohands.training.arms import window_of
 from twohands.training.pasting import Look, Picture, Place, mean_light, own_blur, rotation, turned
 from twohands.types import PinholeCamera
 
+NEAREST_M = 0.05
+"""Depth from which on a joint has a place in the picture."""
 ANOTHER_COLOUR = 0.5
 """Of logarithms of linear light: what differs this much from a hand in any channel is no skin of its arm."""
 
@@ -30,7 +32,7 @@ class Seat:
     Attributes:
         side: LEFT or RIGHT.
         wrist_px: (2,) where anatomists have it.
-        towards_elbow: (2,) unit vector, or None where the arm points at the camera.
+        towards_elbow: (2,) unit vector, or to where the arm is seen if it points at the camera; None if it is not seen.
         palm_px: how long wrist to middle knuckle is when seen from the side.
         light: (3,) mean linear light of the rendered hand.
         sleeved: whether what the arm wears next to it has another colour.
@@ -56,7 +58,7 @@ class Seat:
 def seat_of(frame: StoredFrame, camera: PinholeCamera, side: int) -> Seat | None:
     """Where a hand of a frame sits; None if it is absent, hardly to be seen, or too near the camera's plane."""
     joints = frame.joints_m[side]
-    if not frame.present[side] or not (joints[1:, 2] > 0.05).all():
+    if not frame.present[side] or not (joints[1:, 2] > NEAREST_M).all():
         return None
     anatomical = anatomical_joints(joints[1:])
     palm_m = float(np.linalg.norm(anatomical[ROOT] - anatomical[WRIST]))
@@ -70,20 +72,24 @@ def seat_of(frame: StoredFrame, camera: PinholeCamera, side: int) -> Seat | None
     hand = cv2.inRange(labels, np.array(part_label(side, 1)), np.array(part_label(side, 6))) > 0
     if hand.sum() < 0.3 * palm_px**2:
         return None
-    towards = None
-    for end in (joints[ELBOW], joints[1 + WRIST] * 2 - joints[1 + ROOT]):
-        if end[2] > 0.05:
-            away = np.asarray(project(end, camera)) - wrist_px
-            if np.linalg.norm(away) > 0.5 * palm_px:
-                towards = away / np.linalg.norm(away)
-                break
     light = mean_light(rgb, hand)
     near = np.zeros(labels.shape, np.uint8)
     cv2.circle(near, np.rint(wrist_px - [left, top]).astype(int).tolist(), round(1.2 * palm_px), 1, -1)
     arm = (near > 0) & (labels == part_label(side, 0))
+    seen = np.argwhere(arm)[:, ::-1] + [left + 0.5, top + 0.5]
+    towards = None
+    for end, least in ((_seen_at(joints[ELBOW], camera), 0.5), (seen.mean(axis=0) if len(seen) >= 8 else None, 0.15)):
+        away = np.zeros(2) if end is None else end - wrist_px
+        if towards is None and np.linalg.norm(away) > least * palm_px:
+            towards = away / np.linalg.norm(away)
     cloth = mean_light(rgb, arm) if arm.sum() >= 8 else light
     sleeved = bool(np.abs(np.log((cloth + 0.01) / (light + 0.01))).max() > ANOTHER_COLOUR)
     return Seat(side, wrist_px, towards, palm_px, light, sleeved)
+
+
+def _seen_at(point_m: np.ndarray, camera: PinholeCamera) -> np.ndarray | None:
+    """(2,) pixels of a point; None if it is not well before the camera."""
+    return np.asarray(project(point_m, camera)) if point_m[2] > NEAREST_M else None
 
 
 def without(frame: StoredFrame, gone: np.ndarray) -> StoredFrame:
@@ -123,12 +129,13 @@ def rendered_picture(frame: StoredFrame, camera: PinholeCamera, background: np.n
 
 
 def matched_look(cut: CutOut, seat: Seat, natural: bool, scale: float, rng: np.random.Generator) -> Look:
-    """The light of the rendered hand; its colour too, unless `natural` or it is no colour of skin."""
+    """The light of the rendered hand; its colour too, or half of it if `natural`, nothing of it where it is bluish: a
+    glove's."""
     own = mean_light(cut.colour, cut.alpha > 200)
     gain = seat.light / np.maximum(own, 1e-3)
     red, green, blue = seat.light
     if natural or not red > green > 0.8 * blue:
-        gain = np.full(3, gain.mean()) * np.exp(rng.normal(0, 0.05, 3))
+        gain = np.sqrt(gain * gain.mean()) if red > blue else np.full(3, gain.mean())
     gain = np.clip(gain * math.exp(rng.normal(0, 0.06)), 0.02, 4)
     return Look(gain, math.exp(rng.normal(0, 0.1)), rng.normal(0, 0.15, 2), own_blur(scale, rng))
 
