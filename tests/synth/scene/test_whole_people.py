@@ -5,12 +5,14 @@ import dataclasses
 import numpy as np
 import pytest
 
+from twohands.errors import InputError
 from twohands.geometry.camera import project
 from twohands.synth.scene import gestures, views, whole_people
-from twohands.synth.scene.config import WILD
+from twohands.synth.scene.body import bone
+from twohands.synth.scene.config import PEOPLE, PEOPLE_VIEWS, WILD, SynthConfig
 from twohands.synth.scene.sampling import inside_image
 from twohands.synth.scene.spec import moved
-from twohands.synth.scene.views import STYLES, quarter_turns, sample_viewpoint
+from twohands.synth.scene.views import quarter_turns, sample_viewpoint
 from twohands.synth.scene.wardrobe import sample_someone
 from twohands.synth.sets.instances import sample_scene
 from twohands.synth.sets.seeds import stream_seed
@@ -46,8 +48,6 @@ def test_joints_are_those_of_the_posed_arms(scenes):
     """The wrist is where its bone's transform carries the resting wrist."""
     for scene in scenes:
         for side in np.flatnonzero(scene.present):
-            from twohands.synth.scene.body import bone
-
             wrist = scene.transforms[bone("wrist", int(side))]
             np.testing.assert_allclose(moved(wrist, scene.body.joints[side, 1]), scene.joints_m[side, 1], atol=1e-9)
 
@@ -114,7 +114,7 @@ def test_cameras_are_as_far_and_as_wide_as_said(seed):
         if anchor is not None:
             u, v = np.asarray(project(moved(view.view, anchor), view.camera)) / [480, 270]
             assert 0 <= u <= 1 and 0 <= v <= 1
-    assert seen == set(STYLES)
+    assert seen == set(PEOPLE_VIEWS)
 
 
 def test_quarter_turns_count_counter_clockwise():
@@ -141,3 +141,11 @@ def test_bodies_that_cannot_be_posed_give_way_to_others(index):
     touch in every pose."""
     config = dataclasses.replace(WILD, width=640, height=360, people=1.0)
     assert sample_scene(config, stream_seed(203, "frames"), index).people
+
+
+def test_the_views_are_those_asked_for():
+    rng = np.random.default_rng(0)
+    assert {sample_viewpoint(PEOPLE, rng).style for _ in range(60)} == {"webcam", "room"}
+    for wrong in ((), ("moon",)):
+        with pytest.raises(InputError, match="people_views must be some of webcam, room, selfie, shoulder, above"):
+            SynthConfig(people_views=wrong)

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from math import isfinite
+from typing import Final, Literal, get_args
 
 from twohands.errors import InputError
 from twohands.types import PinholeCamera
 
+PeopleView = Literal["webcam", "room", "selfie", "shoulder", "above"]
+PEOPLE_VIEWS: Final[tuple[PeopleView, ...]] = get_args(PeopleView)
+"""A webcam before the face; a camera in the room; a telephone in one hand; over the shoulder; from above a table."""
 SHARES = (
     *("together", "sleeves", "gloves", "objects", "watches", "rings"),
     *("background_light", "sensor", "webcam", "free_view", "skin_detail", "gestures", "shown", "people"),
@@ -73,6 +77,8 @@ class SynthConfig:
     """Share of pictures of one to three whole, dressed people, as a webcam, a camera in the room, over the shoulder or
     above the table sees them (static sets and frames); what is left is then seen from the head, and `webcam` and
     `free_view` hold for dynamic sets alone."""
+    people_views: tuple[PeopleView, ...] = PEOPLE_VIEWS
+    """From where cameras see whole people; drawn in the shares that `views.SHARES` gives them."""
     together: float = 0.0
     """Share of two-hand pictures with the hands close to each other: crossing, touching, one hiding the other."""
     sleeves: float = 0.0
@@ -133,6 +139,8 @@ class SynthConfig:
         for name in SHARES:
             if not 0 <= getattr(self, name) <= 1:
                 raise InputError(f"{name} must lie in [0, 1], got {getattr(self, name)}")
+        if not self.people_views or not set(self.people_views) <= set(PEOPLE_VIEWS):
+            raise InputError(f"people_views must be some of {', '.join(PEOPLE_VIEWS)}, got {self.people_views}")
         if self.webcam + self.free_view > 1:
             raise InputError(f"webcam and free_view must not exceed 1 together, got {self.webcam} and {self.free_view}")
         if not 1 <= self.lights <= 4:
@@ -170,7 +178,7 @@ WILD = SynthConfig(
 )
 """As varied as the world: all kinds of adults, cameras, clothes; hands that meet and leave the picture."""
 
-PEOPLE = replace(WILD, people=1.0)
+PEOPLE = replace(WILD, people=1.0, people_views=("webcam", "room"))
 """Whole people alone, before webcams and in rooms."""
 
 PRESETS = {"paper": PAPER, "wild": WILD, "people": PEOPLE}

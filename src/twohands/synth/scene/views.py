@@ -11,14 +11,13 @@ from typing import Final
 
 import numpy as np
 
-from twohands.synth.scene.config import SynthConfig
+from twohands.synth.scene.config import PeopleView, SynthConfig
 from twohands.synth.scene.pose import rotation_about, unit
 from twohands.synth.scene.sampling import looking_from
 from twohands.types import PinholeCamera
 
-STYLES: Final = ("webcam", "room", "selfie", "shoulder", "above")
-SHARES: Final = (0.54, 0.24, 0.06, 0.07, 0.09)
-"""Of the styles."""
+SHARES: Final[dict[PeopleView, float]] = {"webcam": 0.54, "room": 0.24, "selfie": 0.06, "shoulder": 0.07, "above": 0.09}
+"""Of the views, where all of them are asked for."""
 FOV: Final = (45.0, 95.0)
 """Degrees across the picture."""
 WEBCAM_M, ROOM_M, SELFIE_M = (0.3, 1.5), (1.0, 4.0), (0.38, 0.62)
@@ -34,14 +33,14 @@ class Viewpoint:
     """A camera before a person.
 
     Attributes:
-        style: of STYLES.
+        style: which of `config.PEOPLE_VIEWS`.
         camera: intrinsics.
         rotation: (3, 3) into the camera's frame.
         place: (3,) of the pinhole.
         side: whose hand holds the camera, where one does; else -1.
     """
 
-    style: str
+    style: PeopleView
     camera: PinholeCamera
     rotation: np.ndarray
     place: np.ndarray
@@ -74,11 +73,12 @@ def sample_viewpoint(config: SynthConfig, rng: np.random.Generator) -> Viewpoint
     """A random camera of a random style.
 
     Args:
-        config: picture size; `intrinsics` and `principal_shift` hold, `fov` only where it is narrower than `FOV`.
+        config: views and picture size; `intrinsics` and `principal_shift` hold, `fov` only where narrower than `FOV`.
         rng: the only source of randomness.
     """
-    style = STYLES[int(rng.choice(len(STYLES), p=SHARES))]
-    camera = _camera(config, style, rng)
+    shares = np.array([SHARES[style] for style in config.people_views])
+    style = config.people_views[int(rng.choice(len(shares), p=shares / shares.sum()))]
+    camera = _camera(config, rng)
     roll, side = sample_roll(rng), -1
     shift = rng.normal(0, 0.13, 2)
     if style == "webcam":
@@ -108,7 +108,7 @@ def sample_viewpoint(config: SynthConfig, rng: np.random.Generator) -> Viewpoint
     return Viewpoint(style, camera, _towards(camera, at) @ rotation, place, side)
 
 
-def _camera(config: SynthConfig, style: str, rng: np.random.Generator) -> PinholeCamera:
+def _camera(config: SynthConfig, rng: np.random.Generator) -> PinholeCamera:
     if config.intrinsics is not None:
         camera = PinholeCamera(*config.intrinsics, config.width, config.height)
     else:

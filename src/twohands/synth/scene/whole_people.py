@@ -21,14 +21,14 @@ from twohands.synth.scene.collision import hand_enters_itself, hands_collide
 from twohands.synth.scene.config import SynthConfig
 from twohands.synth.scene.fabrics import FabricFolder
 from twohands.synth.scene.gestures import ArmGoal, Gesture, Outline, Pair, SolvedArms, Stage
-from twohands.synth.scene.looks import PersonSpec
+from twohands.synth.scene.looks import PersonLook, PersonSpec
 from twohands.synth.scene.people import BODY_BONES, after, body_bone, body_transforms, load_people, shoulder_moves
 from twohands.synth.scene.pose import ArmAnatomy, rotation_about
 from twohands.synth.scene.sampling import inside_image
 from twohands.synth.scene.spec import BARE, ArmMotion, Lighting, SceneSpec, Skin, moved, viewed
-from twohands.synth.scene.things import Thing, muted_colour
+from twohands.synth.scene.things import Thing, muted_colour, sample_things
 from twohands.synth.scene.views import Viewpoint, sample_viewpoint
-from twohands.synth.scene.wardrobe import Someone, sample_look, sample_someone
+from twohands.synth.scene.wardrobe import LONG_SLEEVES, Someone, sample_look, sample_someone
 
 MAX_TRIES, TRIES_PER_PERSON, TRIES_PER_VIEW, TRIES_PER_PLAN = 480, 24, 8, 4
 MIN_INSIDE: Final = 6
@@ -50,7 +50,7 @@ LOWEST_OVER_TABLE_M: Final = 0.3
 """A camera farther below the eyes would look at the table from beneath."""
 MOVING: Final = 0.3
 """Share of pictures in which arms move during the exposure."""
-TURNS_RAD: Final = (0.03, 0.3)
+TURNS_RAD: Final = (0.03, 0.4)
 """Typical turns of a forearm during it."""
 
 _X, _Y, _Z = np.eye(3)
@@ -424,7 +424,7 @@ def draw_people(
     joints = moved(view, arms.joints)
     present = inside_image(joints[:, 1:], viewpoint.camera, 0.0).sum(-1) >= MIN_INSIDE
     lighting = _lighting(config, viewpoint, rng)
-    look_rng, thing_rng, others, still = rng.spawn(4)
+    look_rng, thing_rng, others, still, worn_rng = rng.spawn(5)
     fabric = None if fabrics is None else fabrics.sample(fabric_rng, muted_colour(fabric_rng))
     look = sample_look(look_rng, person.someone, fabric)
     first = PersonSpec(
@@ -442,7 +442,7 @@ def draw_people(
         index,
         view,
         BARE,
-        _things(config, person, posture, arms, thing_rng),
+        (*_things(config, person, posture, arms, thing_rng), *_worn(config, person, look, arms, worn_rng)),
         people=(first, *_others(config, viewpoint, scale, others)),
         motion=_motion(person, first, arms, still),
     )
@@ -506,6 +506,15 @@ def _things(
         if held is not None:
             things.append(held)
     return tuple(things)
+
+
+def _worn(
+    config: SynthConfig, person: Figure, look: PersonLook, arms: PosedArms, rng: np.random.Generator
+) -> tuple[Thing, ...]:
+    """A watch on a bare wrist, and rings."""
+    sleeve = look.sleeve_from if look.outfit in LONG_SLEEVES else np.inf
+    worn = dataclasses.replace(config, objects=0.0)
+    return sample_things(worn, person.body, arms.transforms, arms.joints, np.ones(2, bool), (-np.inf, sleeve), rng)
 
 
 def _held(
