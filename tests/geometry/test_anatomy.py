@@ -54,3 +54,10 @@ def test_the_skeleton_comes_back_from_the_anatomical_joints():
     joints = rest_hand()
     np.testing.assert_allclose(skeleton_joints(anatomical_joints(joints)), joints, atol=1e-12)
     np.testing.assert_allclose(skeleton_joints(anatomical_joints(joints[None, :, :2])), joints[None, :, :2], atol=1e-12)
+
+
+def test_half_of_the_way_is_the_middle():
+    joints = rest_hand()
+    halfway = anatomical_joints(joints, 0.5)
+    np.testing.assert_allclose(halfway, (joints + anatomical_joints(joints)) / 2, atol=1e-12)
+    np.testing.assert_allclose(skeleton_joints(halfway, 0.5), joints, atol=1e-12)

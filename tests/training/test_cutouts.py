@@ -84,7 +84,7 @@ def test_left_hands_are_mirrored(scenes: CutoutScenes) -> None:
 
 
 def test_joints_are_our_skeletons_and_nothing_is_known_in_depth(scenes: CutoutScenes) -> None:
-    """Our palm is 1 / 0.751 times as long as the label's; moved joints count half."""
+    """The label's palm is shorter than ours by half of what an anatomist's is, 0.249; moved joints count half."""
     sample = next(s for s in map(scenes.__getitem__, range(len(scenes))) if np.isnan(s.joints_m).all())
     side = int(np.flatnonzero(sample.present)[0])
     assert sample.confidence is not None
@@ -94,7 +94,9 @@ def test_joints_are_our_skeletons_and_nothing_is_known_in_depth(scenes: CutoutSc
     index_finger = np.linalg.norm(np.diff(sample.joints_px[side, 10:13], axis=0), axis=1).sum()
     labelled = np.linalg.norm(scenes.hands[0].joints_px[1, 0] - scenes.hands[0].joints_px[1, ROOT])
     as_labelled = np.linalg.norm(np.diff(scenes.hands[0].joints_px[1, 10:13], axis=0), axis=1).sum()
-    assert np.linalg.norm(wrist - root) / index_finger == pytest.approx(labelled / as_labelled / 0.751, rel=0.02)
+    assert np.linalg.norm(wrist - root) / index_finger == pytest.approx(
+        labelled / as_labelled / (1 - 0.249 / 2), rel=0.02
+    )
 
 
 def test_both_networks_can_learn_from_them(scenes: CutoutScenes) -> None:

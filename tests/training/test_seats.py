@@ -23,7 +23,7 @@ def test_a_seat_is_where_wrist_and_elbow_are(frames: FrameCache) -> None:
     seat = seat_of(frame, camera, RIGHT)
     assert seat is not None and seat_of(frame, camera, LEFT) is None
     joints = frame.joints_m[RIGHT]
-    assert seat.palm_px == pytest.approx(0.1 * HAND_LENGTH * camera.fx / joints[1 + ROOT, 2], rel=0.1)
+    assert seat.palm_px == pytest.approx(0.1 * (1 + HAND_LENGTH) / 2 * camera.fx / joints[1 + ROOT, 2], rel=0.1)
     elbow = camera.fx * joints[0, :2] / joints[0, 2] + [camera.cx, camera.cy]
     towards = (elbow - seat.wrist_px) / np.linalg.norm(elbow - seat.wrist_px)
     assert seat.towards_elbow is not None and seat.towards_elbow @ towards > 0.999

@@ -5,8 +5,8 @@ Expected below the root (docs/datasets.md):
     images/DIGIT_IMG_NUMBER.jpg   100x100, the Sign Language Digits Dataset
     pseudo_labels.json            {name: {"score": 0.98, "joints_px": [[u, v], ...]}}, 21 joints in our order
 
-The joints are where data sets of real hands have them (`geometry.anatomy`), and guesses: `HandSample.confidence` says
-how good. Nothing is known in 3D, and nothing of the camera.
+The joints are where MediaPipe Hands has them (`ANATOMICAL`), and guesses: `HandSample.confidence` says how good.
+Nothing is known in 3D, and nothing of the camera.
 
 Source: github.com/ardamavi/Sign-Language-Digits-Dataset (Apache-2.0).
 """
@@ -37,6 +37,10 @@ SWAPPED: Final = 4
 """A digit that is less by fewer than this than the one before is out of order; by more, another person has begun."""
 SCORES: Final = (0.85, 0.97)
 """A hand with the first score or less counts a quarter of one with the second or more."""
+ANATOMICAL: Final = 0.5
+"""Wrist and knuckles lie about so far of the way from our skeleton's to the anatomical ones (`geometry.anatomy`): the
+labels' palm is then 0.88 times as long as ours. PoseNet2D, trained on renderings alone, says 0.87 of 80 hands that are
+not held out; `peers.mediapipe_hands.BONE_RATIO` is 0.9."""
 _NAME = re.compile(r"(\d)_IMG_(\d+)\.jpg")
 
 

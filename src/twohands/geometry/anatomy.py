@@ -24,20 +24,21 @@ HAND_LENGTH: Final = 1.0 - WRIST_SHIFT - KNUCKLE_SHIFTS[1]
 """Distance from the anatomical wrist to the anatomical middle knuckle, in hand lengths of our skeleton: 0.751."""
 
 
-def _weights() -> np.ndarray:
-    """(21, 21), rows sum to 1: anatomical joints as means of ours."""
+def _weights(part: float) -> np.ndarray:
+    """(21, 21), rows sum to 1: joints on the way to the anatomical ones as means of ours."""
     weights = np.eye(N_JOINTS)
     for knuckle, shift in zip(KNUCKLES, KNUCKLE_SHIFTS, strict=True):
-        weights[knuckle, [knuckle, WRIST]] = 1 - shift, shift
-    weights[WRIST, [WRIST, ROOT]] = 1 - WRIST_SHIFT, WRIST_SHIFT
+        weights[knuckle, [knuckle, WRIST]] = 1 - part * shift, part * shift
+    weights[WRIST, [WRIST, ROOT]] = 1 - part * WRIST_SHIFT, part * WRIST_SHIFT
     return weights
 
 
-def anatomical_joints(joints: np.ndarray) -> np.ndarray:
+def anatomical_joints(joints: np.ndarray, part: float = 1.0) -> np.ndarray:
     """Joints as data sets of real hands have them.
 
     Args:
         joints: (..., 21, 3) in our skeleton, any unit and frame, of one hand each; or (..., 21, 2) in the picture.
+        part: how far of the way they move, 0..1: some data sets have them in between.
 
     Returns:
         Array of the same shape, unit and frame: wrist and knuckles moved, all others as they are.
@@ -45,17 +46,18 @@ def anatomical_joints(joints: np.ndarray) -> np.ndarray:
     Source: ours. Proportions after anthropometric tables (for example Buchholz, Armstrong and Goldstein 1992); no data
     set of pictures was fitted.
     """
-    return _weights() @ joints
+    return _weights(part) @ joints
 
 
-def skeleton_joints(joints: np.ndarray) -> np.ndarray:
+def skeleton_joints(joints: np.ndarray, part: float = 1.0) -> np.ndarray:
     """The reverse of `anatomical_joints`: joints of data sets of real hands as our skeleton has them.
 
     Args:
         joints: (..., 21, 3), any unit and frame, of one hand each; or (..., 21, 2) in a picture, which is
             right as far as a palm has one depth.
+        part: as for `anatomical_joints`.
 
     Returns:
         Array of the same shape, unit and frame: wrist and knuckles moved, all others as they are.
     """
-    return np.linalg.solve(_weights(), joints)
+    return np.linalg.solve(_weights(part), joints)

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from twohands.datasets.cutting import CutOut
+from twohands.datasets.digits import ANATOMICAL
 from twohands.geometry.anatomy import KNUCKLES, skeleton_joints
 from twohands.geometry.boxes import inside_picture
 from twohands.skeleton import LEFT, N_JOINTS, ROOT, WRIST, part_label
@@ -277,7 +278,7 @@ def label_hand(picture: Picture, cut: CutOut, place: Place, confidence: np.ndarr
     side = place.side
     trust = confidence.copy()
     trust[[WRIST, *KNUCKLES]] *= MOVED_TRUST
-    points = place.points(skeleton_joints(cut.joints_px))
+    points = place.points(skeleton_joints(cut.joints_px, ANATOMICAL))
     picture.joints_px[side], picture.joints_m[side] = points, np.nan
     picture.valid[side], picture.confidence[side] = trust > 0, trust
     height, width = picture.image.shape[:2]

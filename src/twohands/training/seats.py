@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from twohands.datasets.cutting import CutOut
+from twohands.datasets.digits import ANATOMICAL
 from twohands.geometry.anatomy import anatomical_joints
 from twohands.geometry.camera import project
 from twohands.skeleton import ELBOW, ROOT, WRIST, part_label
@@ -31,7 +32,7 @@ class Seat:
 
     Attributes:
         side: LEFT or RIGHT.
-        wrist_px: (2,) where anatomists have it.
+        wrist_px: (2,) where the photographs' labels have it.
         towards_elbow: (2,) unit vector, or to where the arm is seen if it points at the camera; None if it is not seen.
         palm_px: how long wrist to middle knuckle is when seen from the side.
         light: (3,) mean linear light of the rendered hand.
@@ -60,10 +61,10 @@ def seat_of(frame: StoredFrame, camera: PinholeCamera, side: int) -> Seat | None
     joints = frame.joints_m[side]
     if not frame.present[side] or not (joints[1:, 2] > NEAREST_M).all():
         return None
-    anatomical = anatomical_joints(joints[1:])
-    palm_m = float(np.linalg.norm(anatomical[ROOT] - anatomical[WRIST]))
-    palm_px = palm_m * camera.fx / anatomical[ROOT, 2]
-    wrist_px = np.asarray(project(anatomical[WRIST], camera))
+    as_labelled = anatomical_joints(joints[1:], ANATOMICAL)
+    palm_m = float(np.linalg.norm(as_labelled[ROOT] - as_labelled[WRIST]))
+    palm_px = palm_m * camera.fx / as_labelled[ROOT, 2]
+    wrist_px = np.asarray(project(as_labelled[WRIST], camera))
     window = window_of(wrist_px + 2.5 * palm_px * np.array([[-1, -1], [1, 1]]), frame.labels.shape)
     if window is None or not 5 < palm_px < 150:
         return None
