@@ -15,7 +15,7 @@ from twohands.geometry.part_labels import hand_classes
 from twohands.skeleton import KEY_BONES, PALM, ROOT
 from twohands.synth.backgrounds.procedural import ProceduralBackgrounds
 from twohands.synth.sets.cache import FrameCache
-from twohands.training.batches import pose_batch, segmentation_batch
+from twohands.training.batches import Picked, pose_batch, segmentation_batch
 from twohands.training.config import DataConfig
 from twohands.training.cutouts import CutoutScenes
 from twohands.training.sources import open_source
@@ -122,6 +122,15 @@ def test_a_folder_of_digits_is_a_source(folder: Path) -> None:
     assert [frames.indices for frames in scenes.frames] == [range(18)]
     assert [frames.indices for frames in kept.frames] == [range(18, 20)]
     assert not set(scenes.hands.persons) & set(kept.hands.persons)
+
+
+def test_held_out_pictures_are_spread_over_the_people(scenes: CutoutScenes) -> None:
+    picked = Picked.evenly(scenes, 4)
+    assert (len(picked), picked.indices) == (4, (0, 16, 32, 48))
+    np.testing.assert_array_equal(picked[2].image, scenes[32].image)
+    assert len(Picked.evenly(scenes, 0)) == 0
+    with pytest.raises(IndexError):
+        picked[4]
 
 
 def test_nobody_to_cut_out(tmp_path: Path) -> None:

@@ -45,10 +45,11 @@ class TrainArgs:
     """Fine-tune for this camera: a file as for twohands track --camera. Takes no --data, --recipe, --weights and
     --segmentation of its own."""
     data: tuple[str, ...] = ()
-    """Folders of training pictures (instances, tar shards or frames), or "synthetic" to render them on the fly; needed
-    unless resuming."""
+    """Folders of training pictures (instances, tar shards, frames or photographed digits), or "synthetic" to render
+    them on the fly; needed unless resuming."""
     backgrounds: tuple[Path, ...] = ()
-    """Folders of photographs to put behind the hands of frames and of "synthetic", beside procedural backgrounds."""
+    """Folders of photographs to put behind the hands of frames, of digits and of "synthetic", beside procedural
+    backgrounds."""
     recipe: Literal["ours", "paper"] = "ours"
     """ours: slim networks, half an hour each on two cores; paper: networks, losses and schedule of the publication."""
     weights: tuple[Path, ...] = ()
