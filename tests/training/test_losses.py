@@ -273,3 +273,25 @@ def test_place_loss_leaves_out_hands_that_cannot_be_placed():
     for learner in (pose, pixels):
         assert learner.grad is not None and learner.grad.isfinite().all()
     assert placed(pose, pixels, rays, distance, root_px, torch.zeros(len(pose))).item() == 0
+
+
+def test_cells_around_a_small_hand_count_more_and_around_a_large_one_less():
+    boxes = torch.tensor([[[8.0, 8.0, 20.0, 20.0], [0.0, 0.0, 96.0, 96.0]]])
+    weight = losses.hand_weights(boxes, torch.tensor([[True, True]]), 96, 96, 0.5)
+    # 12x12 cells: (48 * 48 / 144) ** 0.5 = 4, half a box beyond it too; 96x96: (1 / 4) ** 0.5
+    assert weight.shape == (1, 2, 96, 96)
+    assert weight[0, 0, 2, 2] == 4 and weight[0, 0, 25, 25] == 4 and weight[0, 0, 26, 14] == 1
+    assert (weight[0, 1] == 0.5).all()
+    absent = losses.hand_weights(boxes, torch.tensor([[False, True]]), 96, 96, 0.5)
+    assert (absent[0, 0] == 1).all()
+
+
+def test_weights_of_1_change_no_loss():
+    generator = torch.Generator().manual_seed(0)
+    logits, energy = torch.randn(1, 3, 4, 4, generator=generator), torch.rand(1, 2, 4, 4, generator=generator)
+    classes, one = torch.ones(1, 4, 4, dtype=torch.int64), torch.ones(1, 4, 4)
+    plain = losses.segmentation_loss(logits, classes)
+    torch.testing.assert_close(losses.segmentation_loss(logits, classes, one), plain)
+    for kind in ("mse", "cross-entropy"):
+        plain = losses.energy_loss(logits[:, :2], energy, kind)
+        torch.testing.assert_close(losses.energy_loss(logits[:, :2], energy, kind, one), plain)

@@ -123,6 +123,8 @@ class LossConfig:
     """Loss of the energies: mean squared error, or binary cross-entropy."""
     energy: float = 1.0
     """Weight of the energy loss of HandSegNet."""
+    small_hands: float = 0.0
+    """Stage hand_seg_net: how much more the cells around small hands count, see `losses.hand_weights`."""
     joint_norm: Literal["mse", "l1"] = "mse"
     """Norm of the three losses of PoseNet3D."""
     joint: float = 1.0
@@ -382,6 +384,7 @@ def recipe(name: RecipeName, stage: StageName) -> TrainConfig:
             soft_argmax=1.0,
             energy_kind="cross-entropy",
             energy=4.0,  # its errors are spread over all pixels: without this the masks drown it
+            small_hands=0.5,
             joint_norm="l1",
             joint=10.0,
             bone=5.0,

@@ -29,6 +29,11 @@ _SLOPES = PinholeCamera(1.0, 1.0, 0.0, 0.0, 1, 1)
 _PLACE_UNIT = 5.0
 """Of L_place, in hand lengths: about 45 cm, a hand's usual distance."""
 
+USUAL_HAND_CELLS = 48.0**2
+"""Cells of a hand's box whose cells weigh 1 for HandSegNet, see `hand_weights`."""
+WEIGHTS = (0.25, 8.0)
+"""Range of these weights."""
+
 _LARGEST_PLACE_ERROR = 1.0
 """Of an axis, in that unit, from which on a hand is lost and teaches nothing about its place."""
 
@@ -43,12 +48,54 @@ def weighted_mean(values: Tensor, weight: Tensor) -> Tensor:
     return (values * weight).sum() / total.clamp_min(1e-12)
 
 
-def segmentation_loss(logits: Tensor, classes: Tensor) -> Tensor:
-    """Cross-entropy per pixel, mean over pixels. logits (B, 3, H, W), classes (B, H, W) int64. Source: SPEC 2, 9."""
-    return functional.cross_entropy(logits.float(), classes)
+def hand_weights(boxes_px: Tensor, present: Tensor, height: int, width: int, exponent: float) -> Tensor:
+    """How much the cells around each hand count, so that small hands are not drowned by large ones. Ours.
+
+    A hand that fills the picture has a hundred times the cells of one across the room. Around a hand, half a box beyond
+    its own, cells weigh (`USUAL_HAND_CELLS` / cells of the box) ** exponent, within `WEIGHTS`; all else weighs 1.
+
+    Args:
+        boxes_px: (B, 2, 4) u0, v0, u1, v1 in cells of the maps.
+        present: (B, 2) bool.
+        height, width: of the maps.
+        exponent: 0 lets all cells count alike, 1 all hands.
+
+    Returns:
+        (B, 2, H, W) float32.
+    """
+    low, high = boxes_px[..., :2].float(), boxes_px[..., 2:].float()
+    size = (high - low).clamp_min(1)
+    weight = (USUAL_HAND_CELLS / size.prod(dim=-1)).pow(exponent).clamp(*WEIGHTS)  # (B, 2)
+    inside = []
+    for axis, cells in ((1, height), (0, width)):
+        middle = torch.arange(cells, device=boxes_px.device) + 0.5
+        reach = size[..., axis, None] / 2
+        inside.append((middle > low[..., axis, None] - reach) & (middle < high[..., axis, None] + reach))
+    around = inside[0][..., :, None] & inside[1][..., None, :] & present[..., None, None]
+    return torch.where(around, weight[..., None, None], 1.0)
 
 
-def energy_loss(logits: Tensor, energy: Tensor, kind: Literal["mse", "cross-entropy"] = "mse") -> Tensor:
+def segmentation_loss(logits: Tensor, classes: Tensor, weight: Tensor | None = None) -> Tensor:
+    """Cross-entropy per pixel, weighted mean over pixels.
+
+    Args:
+        logits: (B, 3, H, W).
+        classes: (B, H, W) int64.
+        weight: (B, H, W); None lets all pixels count alike.
+
+    Source: SPEC 2, 9; the weights are ours.
+    """
+    if weight is None:
+        return functional.cross_entropy(logits.float(), classes)
+    return (functional.cross_entropy(logits.float(), classes, reduction="none") * weight).mean()
+
+
+def energy_loss(
+    logits: Tensor,
+    energy: Tensor,
+    kind: Literal["mse", "cross-entropy"] = "mse",
+    weight: Tensor | None = None,
+) -> Tensor:
     """How far sigmoid(logits) is from the energy maps, mean over cells.
 
     Args:
@@ -57,10 +104,13 @@ def energy_loss(logits: Tensor, energy: Tensor, kind: Literal["mse", "cross-entr
         kind: "mse", the paper's (SPEC 2, 9). "cross-entropy", ours: binary cross-entropy has the same minimum, but no
             vanishing gradient where the sigmoid is saturated; with the squared error the maps of small hands can stay
             near 0 for thousands of iterations.
+        weight: (B, 2, H, W); None lets all cells count alike.
     """
     if kind == "mse":
-        return functional.mse_loss(torch.sigmoid(logits.float()), energy)
-    return functional.binary_cross_entropy_with_logits(logits.float(), energy)
+        wrong = functional.mse_loss(torch.sigmoid(logits.float()), energy, reduction="none")
+    else:
+        wrong = functional.binary_cross_entropy_with_logits(logits.float(), energy, reduction="none")
+    return wrong.mean() if weight is None else (wrong * weight).mean()
 
 
 def judge_loss(logits: Tensor, hand: Tensor) -> Tensor:

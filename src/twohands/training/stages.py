@@ -104,9 +104,13 @@ class SegmentationStage(Stage):
         segmentation, energy = self.net(normalised(batch["image"]))
         target = encode_energy(batch["boxes_px"], batch["present"], *energy.shape[-2:])
         loss = self.config.loss
+        each = around = None
+        if loss.small_hands:
+            each = losses.hand_weights(batch["boxes_px"], batch["present"], *energy.shape[-2:], loss.small_hands)
+            around = torch.where((each == 1).any(dim=1), each.prod(dim=1), each.amax(dim=1))
         return {
-            "segmentation": losses.segmentation_loss(segmentation, batch["classes"].long()),
-            "energy": loss.energy * losses.energy_loss(energy, target, loss.energy_kind),
+            "segmentation": losses.segmentation_loss(segmentation, batch["classes"].long(), around),
+            "energy": loss.energy * losses.energy_loss(energy, target, loss.energy_kind, each),
         }
 
     def validate(self, batches: Sequence[Batch]) -> dict[str, float]:
