@@ -9,8 +9,11 @@ import cv2
 import numpy as np
 
 from twohands.synth.backgrounds.base import Background, Backgrounds
+from twohands.synth.backgrounds.interiors import interior
 from twohands.types import PinholeCamera
 
+DRAWN: Final = 0.6
+"""Share of rooms that are drawn, with parts of the source's pictures in them; the others are those pictures."""
 BLURRED: Final = 0.4
 """Share of rooms that are out of focus."""
 BLUR: Final = (0.0015, 0.016)
@@ -30,6 +33,8 @@ def room_behind(source: Backgrounds, rng: np.random.Generator, camera: PinholeCa
     if turns % 2:
         upright = PinholeCamera(camera.fy, camera.fx, camera.cy, camera.cx, camera.height, camera.width)
     background = source.sample(rng, upright)
+    if rng.random() < DRAWN:
+        background = Background(interior(rng, upright.width, upright.height, background.picture))
     picture = np.ascontiguousarray(np.rot90(background.picture, turns))
     if rng.random() < BLURRED:
         sigma = camera.width * float(np.exp(rng.uniform(*np.log(BLUR))))
