@@ -14,10 +14,13 @@ from twohands.synth.render.people_shaders import (
     CLOTH_FRAGMENT,
     EYE_FRAGMENT,
     HAIR_FRAGMENT,
+    INSIDE_FRAGMENT,
     LABEL_CLOTH,
     LABEL_HAIR,
     LABEL_SKIN,
+    HANDS,
     PERSON_VERTEX,
+    SHADED_VERTEX,
     SHADOW_FRAGMENT,
     SHADOW_VERTEX,
     SHADOWS,
@@ -25,10 +28,11 @@ from twohands.synth.render.people_shaders import (
 )
 from twohands.synth.render.shaders import MAX_LIGHTS
 from twohands.synth.render.surface import surface
-from twohands.synth.scene.body import BONE_NAMES, load_asset, part_labels
+from twohands.synth.scene.body import BONE_NAMES, load_asset, part_labels, posed_joints
+from twohands.synth.scene.collision import capsules
 from twohands.synth.scene.looks import PLAIN, ZONES, Cloth, PersonLook, PersonSpec
 from twohands.synth.scene.people import BODY_BONES, N_BONES, Worn, load_people
-from twohands.synth.scene.spec import Lighting
+from twohands.synth.scene.spec import Lighting, arms_of
 from twohands.synth.scene.things import NO_LABEL, vertex_normals
 
 PARTS: Final = ("skin", "eyes", "cloth", "hair", "brow")
@@ -41,6 +45,7 @@ UNCUT: Final = 9.0
 """Place along the arm of what no sleeve's end cuts off."""
 SKIN_UNDER_M: Final = 0.004
 """How far skin is drawn in where cloth covers a part of it."""
+UNDER_RIBBON_M, RIBBON_M, RIBBON_ABOVE_M = 0.026, 0.015, 0.005
 BROW_RAISED_M: Final = 0.0015
 BROW_OF_MAP: Final = "eyebrow011"
 """The brow whose map there is; the others have as many vertices in the same order."""
@@ -350,7 +355,7 @@ def _glasses(build: _Builder, points: np.ndarray, look: PersonLook) -> None:
         outer = eye[0] + side * (0.002 + look.lens[0])
         z = front - 6.0 * (abs(outer) - 0.02) ** 2
         hinge, top = np.array([outer, eye[1] - 0.3 * look.lens[1], z]), -0.35 * look.lens[1]
-        paths.append((np.array([hinge, [side * ear, top, -0.045], [side * ear, 0.012, -0.11]]), False))
+        paths.append((np.array([hinge, [side * ear, top, -0.045], [side * (ear - 0.004), 0.012, -0.098]]), False))
     inner = [eye[0] + np.sign(eye[0]) * (0.002 - look.lens[0]) for eye in eyes]
     bridge = np.linspace(inner[0], inner[1], 6)
     bow = 1 - (np.linspace(-1, 1, 6)) ** 2
@@ -365,38 +370,39 @@ def _lanyard(build: _Builder, points: np.ndarray, outfit: Worn, hidden: np.ndarr
     asset = load_people()
     worn = outfit.fitted(points)
     weights = outfit.follows(asset.weights)
-    bare = np.flatnonzero(~hidden & (points[:, 2] > -0.14) & (np.abs(points[:, 0]) < 0.2))
+    bare = np.unique(asset.skin_source)
+    bare = bare[~hidden[bare] & (points[bare, 2] > -0.14) & (np.abs(points[bare, 0]) < 0.2) & (points[bare, 1] > 0.1)]
     under = np.concatenate([worn, points[bare]])
-    neck = points[asset.n_points :] if len(points) > asset.n_points else asset.average[asset.n_points :]
-    start = float(neck[BODY_BONES.index("neck01"), 1]) - 0.005
+    start = float(points[bare, 1].min()) + 0.035
     steps = np.linspace(0, 1, 40)
 
     def lie(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Heights over the body at places (N,), minus infinity where there is no body, and the cloth's vertices there."""
         apart = (under[:, 0] - x[:, None]) ** 2 + (under[:, 1] - y[:, None]) ** 2
-        near = np.where(apart < 0.022**2, under[:, 2], -np.inf)
-        z = np.where(
-            np.isfinite(near.max(1)), near.max(1), np.interp(y, under[:, 1].take([0, 1]), under[:, 2].take([0, 1]))
-        )
-        kernel = np.array([0.1, 0.2, 0.4, 0.2, 0.1])
-        smooth = np.convolve(np.pad(z, 2, mode="edge"), kernel, "valid")
+        z = np.where(apart < UNDER_RIBBON_M**2, under[:, 2], -np.inf).max(1)
         nearest = ((worn[:, :2] - np.stack([x, y], 1)[:, None]) ** 2).sum(-1) + 0.3 * (worn[:, 2] - z[:, None]) ** 2
-        return np.maximum(smooth, z - 0.004) + 0.004, nearest.argmin(1)
+        return z, nearest.argmin(1)
 
     for side in (-1, 1):
         x, y = side * (0.075 * (1 - steps) ** 0.8 + 0.004), start + (0.52 - start) * steps
         z, of = lie(x, y)
-        width = np.array([0.0075, 0.0])
-        edge = [np.column_stack([x + s * width[0], y, z]) for s in (-1, 1)]
-        vertices = np.concatenate(edge)
-        i = np.arange(len(steps) - 1)
-        n = len(steps)
+        held = np.isfinite(z)
+        x, y, z, of = x[held], y[held], z[held], of[held]
+        if len(z) < 8:
+            continue
+        for _ in range(80):  # a taut ribbon bridges what is hollow
+            z[1:-1] = np.maximum(z[1:-1], (z[:-2] + z[2:]) / 2)
+        z = z + RIBBON_ABOVE_M
+        n = len(z)
+        vertices = np.concatenate([np.column_stack([x + s * RIBBON_M / 2, y, z]) for s in (-1, 1)])
+        i = np.arange(n - 1)
         faces = np.concatenate([np.stack([i, i + n, i + 1], 1), np.stack([i + 1, i + n, i + n + 1], 1)])
         normal = np.tile([0.0, 0.0, 1.0], (len(vertices), 1))
         _rigid(build, (vertices, normal, faces), LANYARD, weights[np.concatenate([of, of])])
     z, of = lie(np.zeros(1), np.array([0.56]))
     badge = np.array(
         [
-            [-0.028, 0.515, z[0] + 0.006],
+            [-0.028, 0.515, z[0] + 0.009],
             [0.028, 0.515, z[0] + 0.006],
             [0.028, 0.605, z[0] + 0.006],
             [-0.028, 0.605, z[0] + 0.006],
@@ -508,11 +514,14 @@ class PeoplePass:
     def __init__(self, ctx: Any) -> None:
         self.ctx = ctx
         fragments = {
-            "skin": SKIN_FRAGMENT, "eyes": EYE_FRAGMENT, "cloth": CLOTH_FRAGMENT, "hair": HAIR_FRAGMENT,
+            "skin": SKIN_FRAGMENT, "eyes": EYE_FRAGMENT, "cloth": CLOTH_FRAGMENT, "inside": INSIDE_FRAGMENT, "hair": HAIR_FRAGMENT,
             "card": CARD_FRAGMENT, "label": LABEL_SKIN, "label_cloth": LABEL_CLOTH, "label_hair": LABEL_HAIR,
         }  # fmt: skip
         self.programs = {
-            name: ctx.program(vertex_shader=PERSON_VERTEX, fragment_shader=text) for name, text in fragments.items()
+            name: ctx.program(
+                vertex_shader=SHADED_VERTEX if name in ("skin", "cloth") else PERSON_VERTEX, fragment_shader=text
+            )
+            for name, text in fragments.items()
         }
         self.programs["shadow"] = ctx.program(vertex_shader=SHADOW_VERTEX, fragment_shader=SHADOW_FRAGMENT)
         asset = load_people()
@@ -575,7 +584,7 @@ class PeoplePass:
         self._shadows(lamps, order, np.concatenate([p[::5] for p in places]), scale)
         positions, colours = np.zeros((MAX_LIGHTS, 3)), np.zeros((MAX_LIGHTS, 3))
         positions[: len(lamps)], colours[: len(lamps)] = lamps, lighting.colours * scale**2
-        for name in ("skin", "eyes", "cloth", "hair", "card"):
+        for name in ("skin", "eyes", "cloth", "inside", "hair", "card"):
             program = self.programs[name]
             _set(program, "light_position", positions.astype("f4").tobytes())
             _set(program, "light_colour", colours.astype("f4").tobytes())
@@ -644,15 +653,19 @@ class PeoplePass:
             texture.use(index)
         for spec, loaded in self.people:
             look = spec.look
+            self._write_hands(spec)
             self._write_skin(look)
             loaded.draw("skin", "skin")
             eye = self.programs["eyes"]
             _set(eye, "iris", tuple(look.iris))
             self._use("eyes", "eye_map", 2, self.textures["eye_blue" if look.blue else "eye_brown"])
             loaded.draw("eyes", "eyes")
-            self.ctx.disable(self.ctx.CULL_FACE)
             self._write_cloth(look)
             loaded.draw("cloth", "cloth")
+            self.ctx.cull_face = "front"
+            loaded.draw("inside", "cloth")
+            self.ctx.cull_face = "back"
+            self.ctx.disable(self.ctx.CULL_FACE)
             hair = self.programs["hair"]
             _set(hair, "hair_albedo", tuple(look.hair_albedo))
             _set(hair, "white", look.grey)
@@ -676,6 +689,20 @@ class PeoplePass:
     def _use(self, program: str, sampler: str, unit: int, texture: Any) -> None:
         texture.use(unit)
         _set(self.programs[program], sampler, unit)
+
+    def _write_hands(self, spec: PersonSpec) -> None:
+        """The person's hands and forearms as capsules."""
+        body = arms_of(tuple(spec.shape.tolist()))
+        joints = posed_joints(body, spec.arms)[spec.present] * spec.scale
+        starts, ends, radii = capsules(body, joints)
+        along = ends - starts
+        rows = np.zeros((2, HANDS, 4), np.float32)
+        rows[0, : len(radii)] = np.column_stack([starts, radii * spec.scale])
+        rows[1, : len(radii)] = np.column_stack([along, 1 / (along**2).sum(1)])
+        for name in ("skin", "cloth"):
+            _set(self.programs[name], "capsule_from", rows[0].tobytes())
+            _set(self.programs[name], "capsule_along", rows[1].tobytes())
+            _set(self.programs[name], "capsule_count", len(radii))
 
     def _write_skin(self, look: PersonLook) -> None:
         skin = self.programs["skin"]
@@ -706,8 +733,9 @@ class PeoplePass:
             plain = white if colour is None else colour
             fabrics.append(Cloth(plain, plain, PLAIN, 0.01, 0.0, 0.0, 0.0, roughness))
         _set(cloth, "seed", tuple(look.seed))
-        _set(cloth, "sleeve_from", look.sleeve_from)
-        _set(cloth, "albedo", np.array([f.albedo for f in fabrics], np.float32).tobytes())
+        for program in (cloth, self.programs["inside"]):
+            _set(program, "sleeve_from", look.sleeve_from)
+            _set(program, "albedo", np.array([f.albedo for f in fabrics], np.float32).tobytes())
         _set(cloth, "second", np.array([f.second for f in fabrics], np.float32).tobytes())
         _set(
             cloth, "weave", np.array([[f.kind, f.period_m, f.turn, f.contrast] for f in fabrics], np.float32).tobytes()

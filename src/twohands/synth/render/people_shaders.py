@@ -8,6 +8,8 @@ from twohands.synth.render.shaders import GRAIN, MAX_LIGHTS, NOISE, TONE
 
 FABRICS: Final = 9
 """Fabrics that one person wears at most: `looks.ZONES`, then lanyard, glasses, hat and badge."""
+HANDS: Final = 40
+"""Capsules of two hands."""
 SHADOWS: Final = 2
 """Lamps that cast shadows."""
 
@@ -26,9 +28,13 @@ SHADOW_FRAGMENT: Final = """
 void main() {}
 """
 
-PERSON_VERTEX: Final = """
-#version 330
+_VERTEX: Final = f"""
 uniform mat4 projection;
+#ifdef HANDS
+uniform vec4 capsule_from[{HANDS}];  // the hands' bones: one end, and the radius
+uniform vec4 capsule_along[{HANDS}];  // to the other end, and 1 / length^2
+uniform int capsule_count;
+#endif
 uniform float labelled;
 in vec3 position, normal;
 in vec2 uv;
@@ -42,7 +48,7 @@ flat out float label;
 flat out int zone;
 out float depth;
 
-void main() {
+void main() {{
     point = position;
     facing = normal;
     at_rest = rest;
@@ -53,8 +59,22 @@ void main() {
     label = labelled > 0.5 ? part : 255.0;
     depth = position.z;
     gl_Position = projection * vec4(position, 1.0);
-}
+#ifdef HANDS
+    float hidden = 0.0;  // fingers keep light from each other, and from what they touch
+    for (int i = 0; i < capsule_count; ++i) {{
+        vec3 u = capsule_along[i].xyz, w = position - capsule_from[i].xyz;
+        float radius = capsule_from[i].w;
+        vec3 d = clamp(dot(u, w) * capsule_along[i].w, 0.0, 1.0) * u - w;
+        float near = inversesqrt(dot(d, d));
+        hidden += max(dot(normal, d) * near, 0.0) * min(radius * radius * near * near, 1.0);
+    }}
+    also.y *= 1.0 / (1.0 + 1.3 * hidden);
+#endif
+}}
 """
+PERSON_VERTEX: Final = "#version 330\n" + _VERTEX
+SHADED_VERTEX: Final = "#version 330\n#define HANDS\n" + _VERTEX
+"""Moves nothing; the second one finds how much light the hands leave."""
 
 _CUT: Final = """
 uniform float sleeve_from;
@@ -267,8 +287,6 @@ vec3 woven(int z, vec2 at, vec3 rest) {{
 void main() {{
     cut_sleeve(look.x);
     vec3 v = normalize(-point), n = normalize(facing);
-    bool inner = dot(n, v) < -0.25 && !gl_FrontFacing;
-    if (!gl_FrontFacing && dot(n, v) < 0.0) n = -n;
     float soft = finish[zone].x;
     vec2 at = place;
     vec4 fold = texture(wrinkles, at * 1.7 + seed.xy);
@@ -285,7 +303,7 @@ void main() {{
     float grain = grains((at_rest + seed) * 620.0 + 5.0 * blotch);
     base *= 1.0 + 0.12 * blotch + 0.22 * grain;
     if (sleeve_from > 0.0) base *= 0.72 + 0.28 * smoothstep(0.0, 0.035, look.x - sleeve_from);
-    float open = also.y * cavity * (inner ? 0.35 : 1.0);
+    float open = also.y * cavity;
     vec4 share = reached(point, n);
     vec3 lit = base * around(n, open, base);
     float graze = pow(1.0 - max(dot(n, v), 0.0), 3.0);  // fuzz
@@ -300,6 +318,22 @@ void main() {{
     colour = tone(lit);
 }}
 """
+
+INSIDE_FRAGMENT: Final = f"""
+#version 330
+uniform vec3 albedo[{FABRICS}];
+uniform vec3 sky, ground;
+in vec4 look;
+flat in int zone;
+out vec4 colour;
+{_CUT}
+{TONE}
+void main() {{
+    cut_sleeve(look.x);
+    colour = tone(0.3 * albedo[zone] * (sky + ground));
+}}
+"""
+"""The inside of sleeves, collars and skirts, which little light reaches."""
 
 HAIR_FRAGMENT: Final = f"""{_HEAD}
 {_STRANDS}
