@@ -2,7 +2,8 @@
 
     python -m benchmarks.real_people --systems fast accurate --mediapipe-python mediapipe-env/bin/python --out out/real
     python -m benchmarks.real_people --systems weights/mine --quick --out out/mine       # under a minute
-    python -m benchmarks.real_people --systems fast accurate --score-only --out out/real --insert docs/results.md
+    python -m benchmarks.real_people --systems fast accurate --score-only --out out/real \\
+        --insert docs/results.md --insert-short README.md
     python -m benchmarks.real_people --systems fast accurate --score-only --out out/real --check   # before a commit
 
 Predictions are made first (OUT/predictions/SYSTEM/PART.npz) and scored then; `--score-only` scores what is there.
@@ -145,7 +146,7 @@ class Row:
     """One line of the table.
 
     Attributes:
-        name, now, must, aim: what stands there; `now` is of the weights before photographs were learnt from.
+        name, now, must, aim: what stands there; `now` is of the weights before they learnt from photographs.
         bars: (figure, must, aim) of each figure in the line, values as measured.
         joint: what separates the figures.
     """
@@ -233,8 +234,8 @@ ROWS = (
 )
 ABOUT = (
     "What each line means, where the pictures come from and where the reference, which is what MediaPipe found, is "
-    "wrong: [evaluation.md](evaluation.md#real-people). Bold: all that the line must reach is reached. "
-    "`-`: not measured; `n/a`: nothing to measure."
+    "wrong: [evaluation.md](evaluation.md#real-people). Before: preset `fast` before it learnt from photographs. Bold: "
+    "all that the line must reach is reached. `-`: not measured; `n/a`: nothing to measure."
 )
 
 
@@ -246,10 +247,16 @@ def reaches(kind: Kind, measured: Measured | None, bar: float) -> bool:
 
 
 def table(systems: Mapping[str, Figures]) -> str:
-    """The table of the issue's figures, a column a system, in Markdown."""
-    head = ["figure, `fast` unless said", "now", "must", "aim", *systems]
+    """The table, a column a system, in Markdown."""
+    head = ["figure", "before", "must", "aim", *systems]
     rows = [[row.name, row.now, row.must, row.aim, *map(row.cell, systems.values())] for row in ROWS]
     return "\n".join(markdown_table([head, *rows]))
+
+
+def short_table(systems: Mapping[str, Figures]) -> str:
+    """The table without bars, and without lines that nobody measured."""
+    rows = [[row.name, *(row.cell(figures).replace("**", "") for figures in systems.values())] for row in ROWS]
+    return "\n".join(markdown_table([["figure", *systems], *(row for row in rows if set(row[1:]) != {"-"})]))
 
 
 def details(systems: Mapping[str, Figures]) -> str:
@@ -498,11 +505,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if args.sheets != "none":
         _write_all_sheets(args.out, names, parts, args.shared, everything=args.sheets == "all")
     for path in args.insert or ():
-        try:
-            document = path.read_text(encoding="utf-8")
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read ({error.strerror})") from None
-        write_file(path, inserted(document, text).encode())
+        _insert(path, text)
+    for path in args.insert_short or ():
+        _insert(path, short_table(figures))
     if args.accept:
         _accept(figures)
     return _check(figures) if args.check else 0
@@ -519,6 +524,14 @@ def _write_all_sheets(
                 folder = out / "sheets" / name
                 count = len(write_sheets(folder, part, load_predictions(path), tool, everything=everything))
                 _say(f"{count} sheets of {part.name} written to {folder}")
+
+
+def _insert(path: Path, text: str) -> None:
+    try:
+        document = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
+    write_file(path, inserted(document, text).encode())
 
 
 def _accept(figures: Mapping[str, Figures]) -> None:
@@ -561,7 +574,8 @@ def _parser() -> argparse.ArgumentParser:
     option("--out", type=Path, default=Path("out/real_people"), help="folder for everything that is written")
     option("--score-only", action="store_true", help="score the predictions in OUT; no network is run")
     option("--sheets", choices=("misses", "all", "none"), default="misses", help="overlays of which pictures")
-    option("--insert", type=Path, nargs="+", help="documents that get the table, between their markers")
+    option("--insert", type=Path, nargs="+", help="documents that get all figures, between their markers")
+    option("--insert-short", type=Path, nargs="+", help="documents that get the table without bars")
     option("--check", action="store_true", help=f"compare with {FLOORS.name}; status 1 if a figure has fallen")
     option("--accept", action="store_true", help=f"write these figures, less an allowance, to {FLOORS.name}")
     return parser

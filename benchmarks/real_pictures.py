@@ -15,7 +15,6 @@ Everything lies below one folder beside the checkout, `../shared`, none of it is
 from __future__ import annotations
 
 import importlib.util
-import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
@@ -28,10 +27,11 @@ import numpy as np
 from benchmarks.real_hands import PHOTO_FOV, list_photos, read_ge2019, typical_hand_length_m
 
 from twohands.cli.track import assumed_camera
+from twohands.datasets.digits import LABELS_FILE, Digits
 from twohands.datasets.ego3dhands import Ego3DHands
 from twohands.datasets.files import existing_folder, read_json
 from twohands.datasets.opening import open_dataset
-from twohands.errors import DataFormatError, InputError
+from twohands.errors import InputError
 from twohands.inference.sources import list_images, read_image
 from twohands.skeleton import N_JOINTS, SIDES
 from twohands.types import HandSample, PinholeCamera
@@ -41,10 +41,8 @@ SHARED = Path(__file__).resolve().parents[2] / "shared"
 QUICK_STRIDE = 4
 """Every so many reference frames of a clip are looked at in the quick run."""
 QUICK_DIGITS = 60
-PERSONS_DIVIDER = 10
-"""So many consecutive photographs of the digits mostly show one person."""
-HELD_OUT_OF = 5
-"""One person of so many is held out from training."""
+DIGIT_BORDER_PX = 50
+"""What is put around each of the digits, 100x100: its outermost pixels repeated."""
 
 Reference = dict[str, dict[str, Any]]
 """Picture's name -> {"left": [[u, v] x 21] or None, "right": the same}, as `score_people.py` reads it."""
@@ -123,32 +121,22 @@ def ge2019(shared: Path) -> Part:
 
 
 def digits(shared: Path, count: int | None = None) -> Part:
-    """Held-out right hands before white paper, `count` of them evenly chosen, or all."""
-    folder = existing_folder(shared / "data/real_train/digits")
-    labels = read_json(folder / "pseudo_labels.json", dict)
-    names = held_out(list(labels))
-    if count is not None:
-        names = [names[i] for i in np.linspace(0, len(names) - 1, min(count, len(names))).astype(int)]
-    reference = {name: {"left": None, "right": labels[name]["joints_px"]} for name in names}
-    paths = {path.name: path for path in (folder / "images").rglob("*.*")}
-    return Part("digits", lambda: (unlabelled(read_image(paths[name]), name) for name in names), reference)
-
-
-def held_out(names: list[str]) -> list[str]:
-    """Photographs of every fifth person, by person.
-
-    Args:
-        names: DIGIT_IMG_NUMBER.jpg of all photographs.
-
-    Raises:
-        DataFormatError: a name is of another form.
+    """Held-out right hands before white paper, `count` of them evenly chosen, or all, each with `DIGIT_BORDER_PX` around
+    it: the hands fill the pictures, and MediaPipe, which found the reference in wider ones, misses many of them there.
     """
-    persons: dict[int, list[str]] = {}
-    for name in sorted(names):
-        if not (match := re.fullmatch(r"\d_IMG_(\d+)\.\w+", name)):
-            raise DataFormatError(f"{name}: expected a name like 0_IMG_1118.jpg")
-        persons.setdefault(int(match[1]) // PERSONS_DIVIDER, []).append(name)
-    return [name for person in sorted(persons) if person % HELD_OUT_OF == 0 for name in persons[person]]
+    dataset = Digits(shared / "data/real_train/digits", "held-out")
+    labels = read_json(dataset.root / LABELS_FILE, dict)
+    chosen = np.linspace(0, len(dataset) - 1, min(count or len(dataset), len(dataset))).astype(int)
+    names = [dataset.names[i] for i in chosen]
+    joints = {name: np.asarray(labels[name]["joints_px"]) + DIGIT_BORDER_PX for name in names}
+    reference = {name: {"left": None, "right": joints[name].tolist()} for name in names}
+    images = dataset.root / "images"
+    return Part("digits", lambda: (unlabelled(_bordered(images / name), name) for name in names), reference)
+
+
+def _bordered(path: Path) -> np.ndarray:
+    border = 4 * (DIGIT_BORDER_PX,)
+    return np.asarray(cv2.copyMakeBorder(read_image(path), *border, cv2.BORDER_REPLICATE))
 
 
 def official(shared: Path) -> Part:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 from dataclasses import replace
 
 import cv2
@@ -76,12 +75,6 @@ class TestSideChanges:
 
     def test_a_new_hand_elsewhere_is_no_change(self):
         assert real_scores.side_changes(*video((self.A, None), (None, self.B))) == 0
-
-
-def test_one_person_in_five_is_held_out():
-    names = [f"{digit}_IMG_{1110 + 10 * person + digit}.jpg" for person in range(10) for digit in range(10)]
-    held_out = real_pictures.held_out(names)
-    assert len(held_out) == 20 and len({re.findall(r"IMG_(\d+)\d", name)[0] for name in held_out}) == 2
 
 
 def write_video(path, count, size=(64, 48)):
@@ -205,6 +198,12 @@ class TestTable:
     def test_nothing_to_measure_reaches_nothing(self):
         row = next(row for row in ROWS if row.name.startswith("good"))
         assert row.cell({"people.good": Measured(math.nan, 0)}) == "n/a"
+
+    def test_the_short_table_leaves_out_bars_and_what_nobody_measured(self):
+        lines = real_people.short_table({"fast": {"research.any": Measured(0.002, 810)}, "x": {}}).splitlines()
+        assert lines[0] == "| figure | fast | x |" and lines[2:] == [
+            "| research photographs: any hand found | 0.20 % | - |"
+        ]
 
     def test_the_table_has_a_column_for_each_system(self):
         lines = real_people.table({"fast": {"research.any": Measured(0.002, 810)}, "MediaPipe": {}}).splitlines()
