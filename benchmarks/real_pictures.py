@@ -41,8 +41,6 @@ SHARED = Path(__file__).resolve().parents[2] / "shared"
 QUICK_STRIDE = 4
 """Every so many reference frames of a clip are looked at in the quick run."""
 QUICK_DIGITS = 60
-DIGIT_BORDER_PX = 50
-"""What is put around each of the digits, 100x100: its outermost pixels repeated."""
 
 Reference = dict[str, dict[str, Any]]
 """Picture's name -> {"left": [[u, v] x 21] or None, "right": the same}, as `score_people.py` reads it."""
@@ -121,22 +119,14 @@ def ge2019(shared: Path) -> Part:
 
 
 def digits(shared: Path, count: int | None = None) -> Part:
-    """Held-out right hands before white paper, `count` of them evenly chosen, or all, each with `DIGIT_BORDER_PX` around
-    it: the hands fill the pictures, and MediaPipe, which found the reference in wider ones, misses many of them there.
-    """
+    """Held-out right hands before white paper, `count` of them evenly chosen, or all."""
     dataset = Digits(shared / "data/real_train/digits", "held-out")
     labels = read_json(dataset.root / LABELS_FILE, dict)
     chosen = np.linspace(0, len(dataset) - 1, min(count or len(dataset), len(dataset))).astype(int)
     names = [dataset.names[i] for i in chosen]
-    joints = {name: np.asarray(labels[name]["joints_px"]) + DIGIT_BORDER_PX for name in names}
-    reference = {name: {"left": None, "right": joints[name].tolist()} for name in names}
+    reference = {name: {"left": None, "right": labels[name]["joints_px"]} for name in names}
     images = dataset.root / "images"
-    return Part("digits", lambda: (unlabelled(_bordered(images / name), name) for name in names), reference)
-
-
-def _bordered(path: Path) -> np.ndarray:
-    border = 4 * (DIGIT_BORDER_PX,)
-    return np.asarray(cv2.copyMakeBorder(read_image(path), *border, cv2.BORDER_REPLICATE))
+    return Part("digits", lambda: (unlabelled(read_image(images / name), name) for name in names), reference)
 
 
 def official(shared: Path) -> Part:
