@@ -99,6 +99,7 @@ def _matched(part: str, what: str) -> dict[str, Kind]:
         f"{part}.other_side": _share(f"{what}: found as the other hand", more=False),
         f"{part}.none": _share(f"{what}: not found", more=False),
         f"{part}.good": _share(f"{what}: median joint within .1 of the hand's size, of those on their side"),
+        f"{part}.good_of_all": _share(f"{what}: the same of all reference hands"),
         f"{part}.error": _error(f"{what}: median joint error over the hand's size", "", 3),
         f"{part}.unexplained": Kind(
             f"{what}: found hands that no reference hand explains, a picture", "{:.2f}", 1.0, more=False
@@ -120,7 +121,7 @@ KINDS: dict[str, Kind] = {
     "ge2019.error_px": _error("ge2019: 2D", "px"),
     "ge2019.pa_mm": _error("ge2019: PA", "mm"),
     "ge2019.range_cm": _error("ge2019: range median", "cm"),
-    "official.both": Kind("official sample: both hands", words=("both", "no")),
+    "official.both": Kind("official sample: both hands", words=("both", "no"), one=0.0),
     "official.error_px": _error("official sample: 2D of the worse hand", "px"),
     "official.range_cm": _error("official sample: range of the worse hand", "cm"),
     "research.any": _share("research photographs: any hand found", digits=2, more=False),
@@ -309,11 +310,16 @@ def floor(kind: Kind, measured: Measured) -> float:
 
 
 def floors(figures: Figures) -> dict[str, float]:
-    """Floors of all figures that say something, and whose measurement repeats: a time does not."""
+    """Floors of what the table shows and of the share of good hands, where something was measured.
+
+    A time does not repeat itself; what is said of found hands alone may get worse because more are found.
+    """
+    shown = {key for row in ROWS for key, _, _ in row.bars} - {TIME, "people.good"}
+    chosen = shown | {"people.good_of_all", "clips.good_of_all"}
     return {
-        key: round(floor(KINDS[key], measured), 4)
-        for key, measured in figures.items()
-        if key != TIME and not math.isnan(measured.value)
+        key: round(floor(KINDS[key], figures[key]), 4)
+        for key in KINDS
+        if key in chosen and key in figures and not math.isnan(figures[key].value)
     }
 
 

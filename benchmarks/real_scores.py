@@ -63,16 +63,18 @@ def found_hands(predictions: Predictions) -> Reference:
 
 def matched(part: str, tool: ModuleType, reference: Reference, predictions: Predictions) -> Figures:
     """Found hands beside reference hands: "same_side", "other_side", "none" (shares of the reference hands), "good"
-    (share of the hands on their own side whose median joint is within a tenth of the hand's size), "error" (their
-    median joint error over the hand's size) and "unexplained" (found hands that no reference hand explains, over
-    pictures)."""
+    (share of the hands on their own side whose median joint is within a tenth of the hand's size), "good_of_all" (the
+    same of all reference hands), "error" (their median joint error over the hand's size) and "unexplained" (found hands
+    that no reference hand explains, over pictures)."""
     score: Mapping[str, Any] = tool.score(reference, found_hands(predictions))
     hands, pictures, same = score["reference"], score["pictures"], score["same_side"]
+    good = score["good_share_below_0.1"]
     return {
         f"{part}.same_side": Measured(_share(same, hands), hands),
         f"{part}.other_side": Measured(_share(score["other_side"], hands), hands),
         f"{part}.none": Measured(_share(score["none"], hands), hands),
-        f"{part}.good": Measured(score["good_share_below_0.1"] if same else float("nan"), same),
+        f"{part}.good": Measured(good if same else float("nan"), same),
+        f"{part}.good_of_all": Measured(_share(good * same, hands), hands),
         f"{part}.error": Measured(score["error_median_of_size"], same),
         f"{part}.unexplained": Measured(_share(score["unexplained"], pictures), pictures),
     }

@@ -244,7 +244,12 @@ class TestFloors:
         assert real_people.fallen({}, limits) == []
 
     def test_a_time_and_nothing_measured_have_no_floor(self):
-        assert real_people.floors({real_people.TIME: Measured(0.5, 1), "people.good": Measured(math.nan, 0)}) == {}
+        assert (
+            real_people.floors({real_people.TIME: Measured(0.5, 1), "people.good_of_all": Measured(math.nan, 0)}) == {}
+        )
+
+    def test_what_is_said_of_found_hands_alone_has_no_floor(self):
+        assert real_people.floors({"people.good": Measured(1.0, 2), "people.error": Measured(0.1, 2)}) == {}
 
     def test_the_checked_in_floors_are_of_known_figures(self):
         assert {"fast"} <= real_people.read_floors().keys()

@@ -26,7 +26,7 @@ PEOPLE = [
     pytest.param("none_00c84257-800d-4032-9e64-e47eb97005f5.jpg", marks=NOT_YET),
 ]
 FRAMES = [
-    "asl_school.mkv/00061",
+    "asl_school.mkv/00065",
     pytest.param("asl_milk.mkv/00025", marks=NOT_YET),
 ]
 LARGEST_ERROR = 0.15
@@ -70,14 +70,14 @@ def test_a_frame_of_a_sign_language_clip(fast, shared, name):
     assert is_right(judged(fast, pictures.some_frames(shared, stride=1), name, shared))
 
 
-@pytest.mark.parametrize("digit", [1, 5])
+@pytest.mark.parametrize("digit", [1, 3])
 def test_a_hand_before_white_paper(fast, shared, digit):
     part = pictures.digits(shared)
     name = next(name for name in part.reference if name.startswith(f"{digit}_"))
     assert is_right(judged(fast, part, name, shared))
 
 
-@pytest.mark.parametrize("position", [20, 60])
+@pytest.mark.parametrize("position", [1, 8])
 def test_a_labelled_hand(fast, shared, position):
     part = pictures.ge2019(shared)
     sample = list(part.samples())[position]
