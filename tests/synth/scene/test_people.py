@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from twohands.synth.scene.body import BONE_NAMES, forward_kinematics, load_asset
-from twohands.synth.scene.looks import FULL, PersonSpec
+from twohands.synth.scene.looks import FULL, KINDS, PersonSpec
 from twohands.synth.scene.people import (
     BODY_BONES,
     BODY_PARENTS,
@@ -139,7 +139,7 @@ def test_wardrobes_are_varied():
     assert {look.hair for look in looks} >= set(load_people().names("hair")) | {None}
     tones = np.array([look.skin_albedo[1] for look in looks])
     assert (tones < 0.05).mean() > 0.05 and (tones > 0.3).mean() > 0.15
-    assert {look.clothes[0].kind for look in looks} == set(range(8))
+    assert {look.clothes[0].kind for look in looks} == set(range(len(KINDS)))
     long = np.mean([look.outfit in LONG_SLEEVES and look.sleeve_from == FULL for look in looks])
     assert 0.2 < long < 0.7
 

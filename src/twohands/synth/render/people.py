@@ -14,11 +14,11 @@ from twohands.synth.render.people_shaders import (
     CLOTH_FRAGMENT,
     EYE_FRAGMENT,
     HAIR_FRAGMENT,
+    HANDS,
     INSIDE_FRAGMENT,
     LABEL_CLOTH,
     LABEL_HAIR,
     LABEL_SKIN,
-    HANDS,
     PERSON_VERTEX,
     SHADED_VERTEX,
     SHADOW_FRAGMENT,
@@ -30,7 +30,7 @@ from twohands.synth.render.shaders import MAX_LIGHTS
 from twohands.synth.render.surface import surface
 from twohands.synth.scene.body import BONE_NAMES, load_asset, part_labels, posed_joints
 from twohands.synth.scene.collision import capsules
-from twohands.synth.scene.looks import PLAIN, ZONES, Cloth, PersonLook, PersonSpec
+from twohands.synth.scene.looks import MOTIFS, PLAIN, ZONES, Cloth, PersonLook, PersonSpec
 from twohands.synth.scene.people import BODY_BONES, N_BONES, Worn, load_people
 from twohands.synth.scene.spec import Lighting, arms_of
 from twohands.synth.scene.things import NO_LABEL, vertex_normals
@@ -377,7 +377,7 @@ def _lanyard(build: _Builder, points: np.ndarray, outfit: Worn, hidden: np.ndarr
     steps = np.linspace(0, 1, 40)
 
     def lie(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Heights over the body at places (N,), minus infinity where there is no body, and the cloth's vertices there."""
+        """Heights over the body at places (N,), minus infinity beside it, and the cloth's vertices there."""
         apart = (under[:, 0] - x[:, None]) ** 2 + (under[:, 1] - y[:, None]) ** 2
         z = np.where(apart < UNDER_RIBBON_M**2, under[:, 2], -np.inf).max(1)
         nearest = ((worn[:, :2] - np.stack([x, y], 1)[:, None]) ** 2).sum(-1) + 0.3 * (worn[:, 2] - z[:, None]) ** 2
@@ -467,6 +467,37 @@ def strand_map(size: int = 256) -> np.ndarray:
     return np.clip(255 * np.stack(planes, -1), 0, 255).astype(np.uint8)
 
 
+@lru_cache(maxsize=1)
+def motif_map(size: int = 128) -> np.ndarray:
+    """(4 size, 4 size, 1) uint8: sixteen motifs as they are printed on shirts: lettering, stripes, rings, shapes."""
+    rng = np.random.default_rng(23)
+    sheet = np.zeros((4 * size, 4 * size), np.uint8)
+    letters = "ABCDEFGHIKLMNOPRSTUVWXYZ0123456789"
+    for number in range(MOTIFS):
+        tile = np.zeros((size, size), np.uint8)
+        middle = size // 2
+        if number % 4 in (0, 1):
+            lines = 1 + number % 3
+            for line in range(lines):
+                text = "".join(rng.choice(list(letters), rng.integers(3, 8)))
+                font, thickness = int(rng.integers(0, 5)), int(rng.integers(2, 7))
+                (width, height), _ = cv2.getTextSize(text, font, 1.0, thickness)
+                grown = 0.88 * size / width
+                at = int(0.06 * size), int(middle + (line - (lines - 1) / 2) * 0.3 * size + grown * height / 2)
+                cv2.putText(tile, text, at, font, grown, 255.0, thickness, cv2.LINE_AA)
+        if number % 4 in (1, 2):
+            for _ in range(int(rng.integers(1, 4))):
+                radius = int(rng.uniform(0.1, 0.45) * size)
+                thickness = int(rng.choice([-1, 2, 5, 9]))
+                cv2.circle(tile, (middle, middle), radius, float(rng.choice([90, 170, 255])), thickness, cv2.LINE_AA)
+        if number % 4 == 3:
+            corners = rng.uniform(0.08, 0.92, (int(rng.integers(3, 9)), 2)) * size
+            cv2.fillPoly(tile, [corners.astype(np.int32)], 255.0, cv2.LINE_AA)
+        row, column = divmod(number, 4)
+        sheet[row * size : (row + 1) * size, column * size : (column + 1) * size] = tile
+    return sheet[..., None]
+
+
 class _Loaded:
     """A person's mesh on the graphics side."""
 
@@ -514,8 +545,9 @@ class PeoplePass:
     def __init__(self, ctx: Any) -> None:
         self.ctx = ctx
         fragments = {
-            "skin": SKIN_FRAGMENT, "eyes": EYE_FRAGMENT, "cloth": CLOTH_FRAGMENT, "inside": INSIDE_FRAGMENT, "hair": HAIR_FRAGMENT,
-            "card": CARD_FRAGMENT, "label": LABEL_SKIN, "label_cloth": LABEL_CLOTH, "label_hair": LABEL_HAIR,
+            "skin": SKIN_FRAGMENT, "eyes": EYE_FRAGMENT, "cloth": CLOTH_FRAGMENT, "inside": INSIDE_FRAGMENT,
+            "hair": HAIR_FRAGMENT, "card": CARD_FRAGMENT, "label": LABEL_SKIN,
+            "label_cloth": LABEL_CLOTH, "label_hair": LABEL_HAIR,
         }  # fmt: skip
         self.programs = {
             name: ctx.program(
@@ -530,7 +562,7 @@ class PeoplePass:
         brown, blue = (_flipless(asset.picture(f"eye_{name}")) for name in ("brown", "blue"))
         pictures = {
             "skin_map": skin, "eye_brown": brown, "eye_blue": blue, "brow": asset.picture("brow"),
-            "wrinkles": wrinkle_map(), "strands": strand_map(),
+            "wrinkles": wrinkle_map(), "motifs": motif_map(), "strands": strand_map(),
         }  # fmt: skip
         self.textures = {name: self._texture(picture) for name, picture in pictures.items()}
         self._tile = lru_cache(maxsize=32)(lambda tile: self._texture(tile.picture))
@@ -747,6 +779,7 @@ class PeoplePass:
         )
         self._use("cloth", "wrinkles", 2, self.textures["wrinkles"])
         _set(cloth, "tile", 3)
+        self._use("cloth", "motifs", 4, self.textures["motifs"])
         own = next((f.fabric for f in fabrics if f.fabric is not None), None)
         if own is not None:
             height, width = own.tile.picture.shape[:2]

@@ -244,7 +244,7 @@ uniform vec3 albedo[{FABRICS}], second[{FABRICS}];
 uniform vec4 weave[{FABRICS}];  // kind, period in metres, turn, contrast
 uniform vec3 finish[{FABRICS}];  // wrinkles, roughness, whether the user's tile covers it
 uniform sampler2D wrinkles;  // slope along the map, slope across, depth
-uniform sampler2D tile;
+uniform sampler2D tile, motifs;
 uniform mat2 tiling;
 uniform vec3 tile_mean;
 
@@ -272,6 +272,12 @@ vec3 woven(int z, vec2 at, vec3 rest) {{
     else if (kind < 5.5) share = noise(vec3(at * vec2(900.0, 260.0), seed.x)) * 0.6;
     else if (kind < 6.5) share = 0.35 * noise(vec3(at * vec2(700.0, 240.0), 1.0))
                                + 0.5 * smoothstep(0.35, 0.9, noise(rest * 7.0 + seed));
+    else if (kind > 7.5) {{  // printed on the chest: period is its size, turn its number
+        vec2 c = vec2(-rest.x, rest.y - 0.37) / weave[z].y + 0.5;
+        vec2 cell = vec2(mod(weave[z].z, 4.0), floor(weave[z].z / 4.0));
+        float on = float(min(min(c.x, c.y), min(1.0 - c.x, 1.0 - c.y)) > 0.01 && rest.z > -0.12);
+        share = on * texture(motifs, (cell + clamp(c, 0.01, 0.99)) / 4.0).r;
+    }}
     else {{
         float f = noise(vec3(q * 1.3, seed.y)) + 0.5 * noise(vec3(q * 3.1, seed.z));
         share = smoothstep(0.72, 0.76, f);

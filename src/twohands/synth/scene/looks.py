@@ -13,8 +13,10 @@ from twohands.synth.scene.people import after, body_transforms, load_people
 ZONES: Final = 5
 """Fabrics of a person: top, bottom, what is worn over the top, small things, shoes."""
 TOP, BOTTOM, OVER, SMALL, SHOES = range(ZONES)
-PLAIN, STRIPES, CHECK, PLAID, DOTS, MELANGE, DENIM, PRINT = range(8)
-KINDS: Final = ("plain", "stripes", "check", "plaid", "dots", "melange", "denim", "print")
+PLAIN, STRIPES, CHECK, PLAID, DOTS, MELANGE, DENIM, PRINT, MOTIF = range(9)
+KINDS: Final = ("plain", "stripes", "check", "plaid", "dots", "melange", "denim", "print", "motif")
+MOTIFS: Final = 16
+"""Pictures printed on the chest."""
 FULL: Final = 0.0
 """Sleeves as long as the outfit has them; larger: cut off on the way from the wrist (0) over the elbow (1) to the
 shoulder (2)."""
@@ -27,8 +29,8 @@ class Cloth:
     Attributes:
         albedo, second: (3,).
         kind: index into KINDS.
-        period_m: of the pattern.
-        turn: of the pattern, radians.
+        period_m: of the pattern; width of a motif.
+        turn: of the pattern, radians; number of a motif.
         contrast: 0..1 of the pattern.
         wrinkles: 0 (stiff, ironed) to 1.
         roughness: 0.3 (leather, satin) to 0.95.

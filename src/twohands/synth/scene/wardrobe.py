@@ -15,6 +15,8 @@ from twohands.synth.scene.looks import (
     FULL,
     KINDS,
     MELANGE,
+    MOTIF,
+    MOTIFS,
     PLAID,
     PLAIN,
     PRINT,
@@ -209,8 +211,13 @@ def _cloth(rng: np.random.Generator, kinds: list[float]) -> Cloth:
         PLAID: (0.03, 0.12),
         DOTS: (0.008, 0.04),
         PRINT: (0.05, 0.2),
+        MOTIF: (0.08, 0.32),
     }.get(kind, (0.002, 0.01))
-    turn = float(rng.choice([0.0, np.pi / 2])) if kind == STRIPES else 0.0
+    turn = 0.0
+    if kind == STRIPES:
+        turn = float(rng.choice([0.0, np.pi / 2]))
+    elif kind == MOTIF:
+        turn = float(rng.integers(MOTIFS))
     return Cloth(
         albedo,
         second,
@@ -224,17 +231,17 @@ def _cloth(rng: np.random.Generator, kinds: list[float]) -> Cloth:
 
 
 def _clothes(rng: np.random.Generator, outfit: str, fabric: Fabric | None) -> tuple[Cloth, ...]:
-    top = _cloth(rng, [0.38, 0.14, 0.08, 0.08, 0.03, 0.14, 0.03, 0.12])
-    bottom = _cloth(rng, [0.45, 0.02, 0.03, 0.03, 0.0, 0.12, 0.35, 0.0])
-    over = _cloth(rng, [0.6, 0.05, 0.05, 0.05, 0.02, 0.18, 0.05, 0.0])
-    small = _cloth(rng, [1.0, 0, 0, 0, 0, 0, 0, 0])
-    shoes = _cloth(rng, [1.0, 0, 0, 0, 0, 0, 0, 0])
+    top = _cloth(rng, [0.32, 0.14, 0.08, 0.08, 0.03, 0.12, 0.03, 0.08, 0.12])
+    bottom = _cloth(rng, [0.45, 0.02, 0.03, 0.03, 0, 0.12, 0.35, 0, 0])
+    over = _cloth(rng, [0.6, 0.05, 0.05, 0.05, 0.02, 0.18, 0.05, 0, 0])
+    small = _cloth(rng, [1.0, 0, 0, 0, 0, 0, 0, 0, 0])
+    shoes = _cloth(rng, [1.0, 0, 0, 0, 0, 0, 0, 0, 0])
     if outfit == "male_elegantsuit01" and rng.random() < 0.75:  # a suit is of one cloth
         dark = np.array([0.02, 0.022, 0.03]) * np.exp(rng.normal(0.4, 0.6)) * np.exp(rng.normal(0, 0.1, 3))
         top = Cloth(dark, dark * 1.8, int(rng.choice([PLAIN, MELANGE, STRIPES])), 0.012, 0.0, 0.35, 0.3, 0.9)
         bottom = top
     if outfit == "male_worksuit01":
-        bottom = _cloth(rng, [0.5, 0, 0, 0, 0, 0.1, 0.4, 0])
+        bottom = _cloth(rng, [0.5, 0, 0, 0, 0, 0.1, 0.4, 0, 0])
     if fabric is not None:
         top = Cloth(fabric.albedo, fabric.albedo, PLAIN, 0.01, 0.0, 0.0, top.wrinkles, 0.9, fabric)
     return (top, bottom, over, small, shoes)
