@@ -406,8 +406,8 @@ def segmentation_check(segment: Segment, shared: Path = SHARED) -> dict[str, flo
                 palm = np.asarray(joints, float)[PALM].mean(axis=0)[::-1]
                 row, column = np.clip((palm * to_mask).astype(int), 0, np.array(masks.shape) - 1)
                 hands += 1
-                anywhere += masks[row, column] > 0
-                own += masks[row, column] == side + 1
+                anywhere += int(masks[row, column] > 0)
+                own += int(masks[row, column] == side + 1)
     return {
         "hands": hands,
         "any_side": anywhere / max(hands, 1),
