@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from twohands.synth.render.sensor import IDEAL, expose, sample_sensor
+from twohands.synth.render.sensor import IDEAL, expose, sample_sensor, sample_webcam
 
 
 def rng():
@@ -60,3 +60,34 @@ def test_compression_changes_little():
     smooth = np.tile(np.linspace(20, 230, 96).astype(np.uint8)[None, :, None], (54, 1, 3))
     packed = expose(smooth, dataclasses.replace(IDEAL, jpeg_quality=90), rng())
     assert 0 < np.abs(packed.astype(int) - smooth).max() < 12
+
+
+def test_a_webcam_without_faults_is_ideal():
+    assert sample_webcam(0.0, np.random.default_rng(0)) is IDEAL
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_webcams_picture_keeps_its_size_and_its_shapes(seed):
+    """A square stays where it is, within the width of a blurred edge."""
+    image = np.full((135, 241, 3), 40, np.uint8)
+    image[40:90, 80:160] = 220
+    rng = np.random.default_rng(seed)
+    sensor = dataclasses.replace(sample_webcam(1.0, rng), shake_px=np.zeros(2))
+    taken = expose(image, sensor, rng).astype(float).mean(-1)
+    assert taken.shape == (135, 241)
+    inside, outside = taken[50:80, 95:145].mean(), np.r_[taken[:25].ravel(), taken[-25:].ravel()].mean()
+    assert inside > outside + 5
+    bright = taken - outside > (inside - outside) / 2
+    middle = np.array(np.nonzero(bright)).mean(1)
+    assert np.abs(middle - [64.5, 119.5]).max() < 4
+
+
+def test_sharpening_draws_halos_and_shrinking_takes_detail():
+    image = np.full((60, 80, 3), 100, np.uint8)
+    image[:, 40:] = 180
+    sharp = expose(image, dataclasses.replace(IDEAL, sharpening=1.0), np.random.default_rng(0))
+    assert sharp[30, 40, 0] > 180 and sharp[30, 39, 0] < 100
+    lines = np.zeros((60, 80, 3), np.uint8)
+    lines[:, ::2] = 255
+    small = expose(lines, dataclasses.replace(IDEAL, shrink=0.5), np.random.default_rng(0))
+    assert small.std() < 20 < lines.std()
