@@ -40,7 +40,7 @@ from twohands.evaluation.predictions import Predictions, predict
 from twohands.evaluation.summary import markdown_table
 from twohands.geometry.anatomy import HAND_LENGTH, anatomical_joints
 from twohands.inference.estimator import HandEstimator
-from twohands.inference.sources import IMAGE_SUFFIXES, read_image
+from twohands.formats.pictures import IMAGE_SUFFIXES, read_image
 from twohands.inference.weights import DEFAULT_PRESET
 from twohands.skeleton import LEFT, N_JOINTS, RIGHT, ROOT, SIDES
 from twohands.types import HandPose, HandSample, PinholeCamera, TwoHandPose

@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from twohands.errors import TwoHandsError
     from twohands.formats.camera_files import read_camera
+    from twohands.formats.pictures import read_image
     from twohands.geometry.lifting import lift
     from twohands.inference.estimator import HandEstimator
-    from twohands.inference.sources import read_image
     from twohands.inference.stages import StageTruth
     from twohands.inference.tracker import HandTracker
     from twohands.lifting.placing import lift_hands
@@ -43,7 +43,7 @@ _HOME = {
     "lift": "twohands.geometry.lifting",
     "lift_hands": "twohands.lifting.placing",
     "read_camera": "twohands.formats.camera_files",
-    "read_image": "twohands.inference.sources",
+    "read_image": "twohands.formats.pictures",
 }
 
 __all__ = [

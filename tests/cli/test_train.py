@@ -15,8 +15,8 @@ from twohands.cli import export, train
 from twohands.cli.demo import examples_folder
 from twohands.cli.main import main
 from twohands.errors import InputError
+from twohands.formats.pictures import list_images, read_image
 from twohands.inference.estimator import HandEstimator
-from twohands.inference.sources import list_images, read_image
 from twohands.inference.weights import DEFAULT_PRESET, preset_folder
 from twohands.training import sources
 

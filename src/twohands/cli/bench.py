@@ -20,8 +20,8 @@ import tyro
 from twohands.cli.demo import examples_folder
 from twohands.errors import InputError
 from twohands.formats.camera_files import camera_for_image, read_camera
+from twohands.formats.pictures import list_images, read_image
 from twohands.inference.estimator import HandEstimator
-from twohands.inference.sources import list_images, read_image
 from twohands.inference.stage_times import ROWS, StageClock, timed_estimate
 from twohands.inference.weights import DEFAULT_PRESET
 from twohands.types import PinholeCamera

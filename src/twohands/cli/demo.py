@@ -13,8 +13,8 @@ from twohands.cli.output import check_output_folder
 from twohands.cli.track import Picture, print_table, track_pictures
 from twohands.errors import InputError
 from twohands.formats.camera_files import camera_for_image, read_camera
+from twohands.formats.pictures import list_images, read_image
 from twohands.inference.estimator import DEFAULT_HAND_LENGTH_M, HandEstimator
-from twohands.inference.sources import list_images, read_image
 from twohands.inference.weights import DEFAULT_PRESET
 
 

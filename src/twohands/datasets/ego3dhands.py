@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import copy
 import io
-import json
 import os
 import re
 from collections.abc import Iterator, Mapping, Set
@@ -21,6 +20,7 @@ from twohands import ego3dhands_format as fmt
 from twohands.datasets.files import decode_bytes
 from twohands.datasets.manifest import expected_hand_length_m
 from twohands.errors import DataFormatError, InputError
+from twohands.formats.structured import parse_json
 from twohands.types import HandSample, PinholeCamera
 
 _PNG_END = b"IEND\xaeB`\x82"
@@ -262,10 +262,10 @@ def _camera(files: Mapping[str, bytes], width: int, height: int) -> PinholeCamer
     if fmt.CAMERA_FILE not in files:
         return PinholeCamera.ego3dhands(width, height)
     try:
-        values = json.loads(files[fmt.CAMERA_FILE])
+        values = parse_json(files[fmt.CAMERA_FILE])
         fx, fy, cx, cy = (float(values[name]) for name in ("fx", "fy", "cx", "cy"))
         return PinholeCamera(fx, fy, cx, cy, width, height)
-    except (ValueError, KeyError, TypeError, OverflowError, RecursionError, InputError) as error:
+    except (DataFormatError, ValueError, KeyError, TypeError, OverflowError, InputError) as error:
         raise DataFormatError(f"{fmt.CAMERA_FILE}: fx, fy, cx and cy expected ({error})") from None
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,8 @@ import cv2
 import numpy as np
 
 from twohands.errors import DataFormatError, InputError
+from twohands.formats.pictures import decode_pixels
+from twohands.formats.structured import parse_json
 
 _ENDS = {".png": b"IEND\xaeB`\x82", ".jpg": b"\xff\xd9"}
 """Last bytes of every complete file: PNG's closing chunk with its checksum, JPEG's end-of-image marker."""
@@ -55,9 +56,11 @@ def read_json(path: Path, kind: type) -> Any:
         DataFormatError: the file is missing, cut off, not JSON, or of another kind.
     """
     try:
-        content = json.loads(read_bytes(path))
-    except (ValueError, RecursionError) as error:  # ValueError: JSONDecodeError and UnicodeDecodeError
-        raise DataFormatError(f"{path}: not a complete JSON file ({reason(error)})") from None
+        content = parse_json(read_bytes(path))
+    except DataFormatError as error:
+        if str(error).startswith(f"{path}: "):
+            raise
+        raise DataFormatError(f"{path}: not a complete JSON file ({error})") from None
     if not isinstance(content, kind):
         raise DataFormatError(f"{path}: expected a JSON {kind.__name__}, got a {type(content).__name__}")
     return content
@@ -113,10 +116,7 @@ def decode_picture(data: bytes) -> np.ndarray | None:
     Args:
         data: the file's content, at least one byte.
     """
-    try:
-        return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error:  # its header says more pixels than OpenCV takes, or than there is memory for
-        return None
+    return decode_pixels(data, cv2.IMREAD_UNCHANGED)
 
 
 def reason(error: BaseException) -> str:

@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 
 from twohands.errors import InputError
+from twohands.formats.pictures import IMAGE_SUFFIXES, read_pixels
 from twohands.synth.backgrounds.panoramas import ASPECT, is_panorama, light_file, unreadable_light
-from twohands.synth.backgrounds.pictures import IMAGE_SUFFIXES, decode_whole
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg")
 MIN_VIDEO_FPS, MIN_VIDEO_SECONDS = 8.0, 1.5
@@ -157,7 +157,7 @@ def unusable(source: ClipSource) -> str | None:
 
 def _is_readable(path: Path) -> bool:
     """Whether a file is a whole picture; decoded small, for that is quick."""
-    return decode_whole(path, cv2.IMREAD_REDUCED_COLOR_8) is not None
+    return read_pixels(path, cv2.IMREAD_REDUCED_COLOR_8) is not None
 
 
 def numbered(folder: Path) -> list[Path]:
@@ -182,7 +182,7 @@ def _is_film(files: list[Path]) -> bool:
     first = sorted(files, key=lambda path: _number(path.stem)[1])[:4]
     small = []
     for path in first:
-        picture = cv2.imread(str(path), cv2.IMREAD_REDUCED_COLOR_4)
+        picture = read_pixels(path, cv2.IMREAD_REDUCED_COLOR_4)
         if picture is None:
             return False
         small.append(cv2.resize(picture, (48, 27), interpolation=cv2.INTER_AREA).astype(float))
@@ -191,10 +191,10 @@ def _is_film(files: list[Path]) -> bool:
 
 def _is_panorama(path: Path) -> bool:
     """Whether a picture's own size is that of a panorama; one that is clearly none is read small, for that is quick."""
-    small = cv2.imread(str(path), cv2.IMREAD_REDUCED_COLOR_8)
+    small = read_pixels(path, cv2.IMREAD_REDUCED_COLOR_8)
     if small is None or abs(small.shape[1] / small.shape[0] - ASPECT) > DOUBTFUL_ASPECT:
         return False
-    picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    picture = read_pixels(path, cv2.IMREAD_COLOR)
     return picture is not None and is_panorama(*picture.shape[1::-1])
 
 

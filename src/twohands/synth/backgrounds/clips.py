@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from twohands.errors import InputError
+from twohands.formats.pictures import read_pixels
 from twohands.synth.backgrounds.clip_sources import ClipSource, numbered
 from twohands.synth.backgrounds.panoramas import Surroundings, light_of, rays, view
 from twohands.synth.backgrounds.photographs import Look
@@ -221,7 +222,7 @@ class _PanoramaView:
 
 
 def _read_picture(path: Path) -> np.ndarray:
-    picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    picture = read_pixels(path, cv2.IMREAD_COLOR)
     if picture is None:
         raise InputError(f"{path}: not a picture that can be read")
     return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)

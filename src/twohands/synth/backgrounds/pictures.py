@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 
 from twohands.errors import InputError
+from twohands.formats.pictures import IMAGE_SUFFIXES, read_pixels
 from twohands.synth.backgrounds.panoramas import is_panorama
 
-IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp", ".webp")
 Content = TypeVar("Content")
 
 
@@ -31,7 +31,7 @@ class PictureFolder(Generic[Content]):
         unreadable: a line for every picture that was skipped so far.
 
     Args:
-        folder: holds .jpg, .png, .bmp or .webp files.
+        folder: holds pictures (docs/inputs.md).
         what: they show, for messages: "background".
         read: reads a picture; None if it cannot be read. Picklable.
         keep: how many pictures to keep in memory.
@@ -102,39 +102,10 @@ def read_picture(path: Path) -> np.ndarray | None:
     Returns:
         (H, W, 3) uint8 RGB; None if the file is missing, cut off, or no picture.
     """
-    picture = decode_whole(path)
+    picture = read_pixels(path, cv2.IMREAD_COLOR)
     if picture is None:
         return None
     scale = (2048 if is_panorama(*picture.shape[1::-1]) else 960) / max(picture.shape[:2])
     if scale < 1:
         picture = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     return np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB))
-
-
-def decode_whole(path: Path, flags: int = cv2.IMREAD_COLOR) -> np.ndarray | None:
-    """A picture as OpenCV decodes it.
-
-    Args:
-        path: the file.
-        flags: OpenCV's, how to decode it.
-
-    Returns:
-        (H, W, 3) uint8 BGR; None if the file is missing, cut off, or no picture.
-    """
-    try:
-        data = path.read_bytes()
-    except OSError:
-        return None
-    if not data or _is_cut_off(data):
-        return None
-    return cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-
-
-def _is_cut_off(data: bytes) -> bool:
-    """Whether a JPEG or PNG ends early; the decoder would fill the rest with grey without a word.
-
-    A JPEG may hold a preview with an end of its own, and cameras append data: its last scan must be closed.
-    """
-    if data.startswith(b"\xff\xd8"):
-        return data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda")
-    return data.startswith(b"\x89PNG") and b"IEND\xaeB`\x82" not in data

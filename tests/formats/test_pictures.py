@@ -1,6 +1,7 @@
 """Pictures from files: every kind comes out as 8-bit RGB, and nothing damaged gets through."""
 
 import struct
+import sys
 import zlib
 from pathlib import Path
 
@@ -8,8 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
-from twohands.errors import InputError
-from twohands.inference.sources import decode_image, list_images, read_image
+from twohands.errors import InputError, MissingExtraError
+from twohands.formats.pictures import MAX_PIXELS, decode_image, list_images, look_through, read_image, read_pixels
 
 RGB = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)
 SMOOTH = np.ascontiguousarray(
@@ -29,19 +30,23 @@ RESTART = (cv2.IMWRITE_JPEG_RST_INTERVAL, 2)
 FILES = {
     "png": encoded(".png"),
     "bmp": encoded(".bmp"),
+    "tiff": encoded(".tiff"),
+    "packed tiff": encoded(".tiff", RGB, cv2.IMWRITE_TIFF_COMPRESSION, 5),
     "webp": encoded(".webp", SMOOTH),
     "jpeg": encoded(".jpg", SMOOTH),
     "progressive jpeg": encoded(".jpg", SMOOTH, *PROGRESSIVE),
     "jpeg with restart markers": encoded(".jpg", SMOOTH, *RESTART),
 }
+if cv2.haveImageWriter(".avif"):
+    FILES["avif"] = encoded(".avif", SMOOTH)
 
 
-@pytest.mark.parametrize("kind", ["png", "bmp"])
+@pytest.mark.parametrize("kind", ["png", "bmp", "tiff", "packed tiff"])
 def test_lossless_files_come_out_as_they_went_in(kind):
     np.testing.assert_array_equal(decode_image(FILES[kind]), RGB)
 
 
-@pytest.mark.parametrize("kind", [kind for kind in FILES if "jpeg" in kind or kind == "webp"])
+@pytest.mark.parametrize("kind", [kind for kind in FILES if "jpeg" in kind or kind in ("webp", "avif")])
 def test_lossy_files_keep_channel_order_and_look(kind):
     assert np.abs(decode_image(FILES[kind]).astype(int) - SMOOTH).mean() < 4
 
@@ -194,8 +199,10 @@ def test_content_decides_not_the_name(tmp_path):
 
 
 def test_a_folders_images_come_in_natural_order(tmp_path):
-    for name in ("b10.png", "b9.PNG", "a.jpeg", ".hidden.png", "notes.txt", "camera.json"):
+    for name in ("b10.png", "b9.PNG", "a.jpeg", ".hidden.png"):
         (tmp_path / name).write_bytes(FILES["png"])
+    for name in ("notes.txt", "camera.json"):
+        (tmp_path / name).write_text("no picture")
     (tmp_path / "folder.png").mkdir()
     assert [path.name for path in list_images(tmp_path)] == ["a.jpeg", "b9.PNG", "b10.png"]
 
@@ -221,3 +228,93 @@ def test_a_folder_that_may_be_listed_but_not_entered_is_refused(tmp_path, monkey
     monkeypatch.setattr(Path, "is_file", forbidden)
     with pytest.raises(InputError, match="cannot be read: Permission denied"):
         list_images(tmp_path)
+
+
+FIELD = Path(__file__).parents[3] / "shared" / "field"
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+@pytest.mark.parametrize("kind", ["TIFF", "AVIF", "PNG", "WEBP", "JPEG"])
+def test_every_kind_comes_out_upright(kind, orientation, tmp_path):
+    """All eight ways that a camera can be held or mirrored, by the kind's own way of noting it."""
+    image = pytest.importorskip("PIL.Image")
+    features = pytest.importorskip("PIL.features")
+    if kind == "AVIF" and not (features.check("avif") and cv2.haveImageWriter(".avif")):
+        pytest.skip("AVIF cannot be written or read here")
+    upright = np.zeros((96, 128, 3), np.uint8)
+    upright[:48, :64], upright[:, 112:] = 255, (255, 0, 0)
+    undo = {1: upright, 2: upright[:, ::-1], 3: upright[::-1, ::-1], 4: upright[::-1]}
+    undo |= {
+        5: upright.swapaxes(0, 1),
+        6: np.rot90(upright, 1),
+        7: np.rot90(upright.swapaxes(0, 1), 2),
+        8: np.rot90(upright, -1),
+    }
+    stored = image.fromarray(np.ascontiguousarray(undo[orientation]))
+    exif = image.Exif()
+    exif[0x112] = orientation
+    options = {"tiffinfo": {274: orientation}} if kind == "TIFF" else {"exif": exif}
+    stored.save(tmp_path / "a", kind, **options)
+    found = read_image(tmp_path / "a")
+    assert found.shape == upright.shape
+    assert np.abs(found.astype(int) - upright).mean() < 4
+
+
+@pytest.mark.parametrize("suffix", [".jfif", ".JPE", ".tif", ".tiff", ".avif", ".dib", ".heic"])
+def test_every_ending_of_a_picture_is_found(suffix, tmp_path):
+    (tmp_path / f"a{suffix}").touch()
+    assert [path.suffix for path in list_images(tmp_path)] == [suffix]
+
+
+def test_pictures_are_found_by_their_content_and_the_rest_is_listed(tmp_path):
+    (tmp_path / "photo").write_bytes(FILES["jpeg"])
+    (tmp_path / "photo.download").write_bytes(FILES["png"])
+    for name in ("notes.txt", "raw.dng", "film.mov", ".hidden"):
+        (tmp_path / name).write_bytes(b"something else")
+    content = look_through(tmp_path)
+    assert [path.name for path in content.pictures] == ["photo", "photo.download"]
+    assert [path.name for path in content.others] == ["film.mov", "notes.txt", "raw.dng"]
+
+
+@pytest.mark.skipif(not cv2.haveImageWriter(".avif"), reason="this OpenCV cannot write AVIF")
+@pytest.mark.parametrize("depth", [8, 10, 12])
+def test_deep_avif_pictures_keep_their_brightness(depth):
+    grey = np.full((64, 64, 3), (1 << depth) // 2, np.uint8 if depth == 8 else np.uint16)
+    data = cv2.imencode(".avif", grey, [cv2.IMWRITE_AVIF_DEPTH, depth])[1].tobytes()
+    assert abs(decode_image(data).mean() - 128) < 2
+
+
+def headed(width: int, height: int) -> bytes:
+    """A PNG that says it is as large, all checksums right, and holds next to nothing."""
+    header = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(b"")) + chunk(b"IEND", b"")
+
+
+@pytest.mark.parametrize(("width", "height"), [(40000, 30000), (2**31 - 1, 2**31 - 1), (MAX_PIXELS // 1000 + 1, 1000)])
+def test_a_picture_of_too_many_pixels_is_refused_by_its_header(width, height, tmp_path):
+    """OpenCV raises for more than 2^30 pixels, and takes the memory for fewer."""
+    (tmp_path / "panorama.png").write_bytes(headed(width, height))
+    with pytest.raises(InputError, match=rf"too large: {width}x{height}"):
+        read_image(tmp_path / "panorama.png")
+    assert read_pixels(tmp_path / "panorama.png", cv2.IMREAD_COLOR) is None
+
+
+def test_a_heic_picture_names_its_extra(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pi_heif", None)
+    size = struct.pack(">I4sIII", 20, b"ispe", 0, 64, 48)
+    ipco = struct.pack(">I4s", 8 + len(size), b"ipco") + size
+    iprp = struct.pack(">I4s", 8 + len(ipco), b"iprp") + ipco
+    meta = struct.pack(">I4sI", 12 + len(iprp), b"meta", 0) + iprp
+    (tmp_path / "a.heic").write_bytes(struct.pack(">I4s4sI4s", 20, b"ftyp", b"heic", 0, b"mif1") + meta)
+    with pytest.raises(MissingExtraError, match=r"a\.heic: a HEIC picture needs the extra 'heic'"):
+        read_image(tmp_path / "a.heic")
+
+
+@pytest.mark.skipif(not FIELD.is_dir(), reason="../shared/field is not here")
+def test_the_pictures_from_the_field():
+    """Cases 10 and 11 of its README: a telephone's folder, and a picture of 2^30 pixels."""
+    for path in list_images(FIELD / "10-telephone-folder"):
+        if path.suffix in (".jpg", ".jfif", ".tif") or cv2.haveImageWriter(".avif"):
+            assert min(read_image(path).shape[:2]) >= 270
+    with pytest.raises(InputError, match="too large: 40000x30000"):
+        read_image(FIELD / "11-gigapixel-background" / "panorama.png")

@@ -1,0 +1,288 @@
+"""Pictures from files, strictly: what is cut off, or damaged where the format lets one see it, is refused.
+
+The one front door for every picture that somebody brings; what it accepts is listed in docs/inputs.md. The pixels of a
+JPEG carry no checksum: damage within them cannot be told from a picture.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+
+from twohands.errors import InputError, MissingExtraError
+from twohands.formats.picture_kinds import (
+    AVIF,
+    BMP,
+    HEIC,
+    JPEG,
+    KINDS,
+    SUFFIXES,
+    TIFF,
+    PictureKind,
+    iso_properties,
+    kind_of,
+)
+
+IMAGE_SUFFIXES: Final = SUFFIXES
+MIN_SIDE: Final = 32
+"""Smaller pictures cannot show a hand: 21 joints would fall on a handful of pixels."""
+MAX_PIXELS: Final = 200_000_000
+"""Of a picture; no telephone has more."""
+MAX_DECODED_BYTES: Final = 1 << 30
+"""That a picture may take while it is decoded."""
+MAX_FILE_BYTES: Final = 1 << 29
+_ROWS: Final = 512
+"""Converted at a time, so that a picture needs little more memory than its pixels."""
+
+
+@dataclass(frozen=True, slots=True)
+class FolderContent:
+    """The files of a folder; hidden ones and subfolders do not count.
+
+    Attributes:
+        pictures: by their endings or first bytes, in natural order (frame2 before frame10).
+        others: the rest, in the same order.
+    """
+
+    pictures: list[Path]
+    others: list[Path]
+
+
+def look_through(folder: Path) -> FolderContent:
+    """Finds the pictures of a folder.
+
+    Raises:
+        InputError: the folder cannot be read.
+    """
+    try:
+        files = [path for path in folder.iterdir() if not path.name.startswith(".") and path.is_file()]
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be read: {error.strerror}") from error
+    files.sort(key=lambda path: _natural_key(path.name))
+    pictures = [path for path in files if path.suffix.lower() in IMAGE_SUFFIXES or _begins_as_picture(path)]
+    known = set(pictures)
+    return FolderContent(pictures, [path for path in files if path not in known])
+
+
+def list_images(folder: Path) -> list[Path]:
+    """Pictures of a folder, in natural order; hidden files are left out.
+
+    Raises:
+        InputError: the folder cannot be read or holds no picture.
+    """
+    images = look_through(folder).pictures
+    if not images:
+        raise InputError(f"{folder}: no image in this folder (looked for {', '.join(IMAGE_SUFFIXES)})")
+    return images
+
+
+def read_image(path: str | Path) -> np.ndarray:
+    """Read a picture as 8-bit RGB.
+
+    Grey is repeated over the channels, 16 bits are scaled by 1/257, and the orientation noted by a camera is applied.
+    Transparency of PNG, WebP, TIFF and AVIF is put on black instead; such pictures come from no camera.
+
+    Args:
+        path: a PNG, JPEG, WebP, BMP, TIFF or AVIF file, or HEIC with the extra `heic`; its content decides, not its
+            name. Of several pictures in one file, the first.
+
+    Returns:
+        (H, W, 3) uint8 RGB.
+
+    Raises:
+        InputError: the file is missing, empty, not an image, damaged, cut off, smaller than MIN_SIDE, or larger than
+            MAX_PIXELS.
+        MissingExtraError: it is HEIC, and nothing is there that decodes it.
+    """
+    path = Path(path)
+    try:
+        with path.open("rb") as file:
+            data = file.read(MAX_FILE_BYTES + 1)
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: no such file") from error
+    except (OSError, ValueError) as error:  # ValueError: a name with a zero byte
+        raise InputError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
+    try:
+        return decode_image(data)
+    except MissingExtraError as error:
+        raise MissingExtraError(f"{path}: {error.feature}", error.extra) from error
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def decode_image(data: bytes) -> np.ndarray:
+    """Decode the bytes of an image file; see `read_image`.
+
+    Raises:
+        InputError: as `read_image`.
+        MissingExtraError: as `read_image`.
+    """
+    kind = _kind(data)
+    if not kind.is_complete(data):
+        raise InputError("the image is cut off or damaged")
+    check_size(data, kind)
+    if kind is HEIC:
+        pixels = _decode_heic(data)
+    else:
+        # IMREAD_COLOR applies a camera's orientation and drops transparency, which a BMP may call total without meaning
+        # it. Of TIFF, OpenCV always applies it, of AVIF never.
+        plain = kind in (JPEG, BMP)
+        pixels = decode_pixels(data, cv2.IMREAD_COLOR if plain else cv2.IMREAD_UNCHANGED)
+        noted = kind not in (JPEG, BMP, TIFF, AVIF) and (b"eXIf" in data or b"EXIF" in data)
+        if noted and pixels is not None and pixels.shape[2:] != (4,):
+            pixels = decode_pixels(data, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
+        if kind is AVIF and pixels is not None and pixels.dtype == np.uint16:  # 10 or 12 bits, not scaled to 16
+            pixels = decode_pixels(data, cv2.IMREAD_COLOR)
+        if kind is AVIF and pixels is not None:
+            pixels = _turned(pixels, iso_properties(data))
+    if pixels is None:
+        raise InputError(f"the image is damaged, or a {kind.name} of a kind that cannot be decoded")
+    if min(pixels.shape[:2]) < MIN_SIDE:
+        raise InputError(
+            f"too small: {pixels.shape[1]}x{pixels.shape[0]} pixels, at least {MIN_SIDE}x{MIN_SIDE} needed"
+        )
+    return _to_rgb8(pixels)
+
+
+def check_size(data: bytes, kind: PictureKind) -> None:
+    """Refuses, by its header, a picture that would take too much memory.
+
+    Raises:
+        InputError: it is too large, or its header says nothing.
+    """
+    extent = kind.extent(data)
+    if extent is None:
+        raise InputError("the image is damaged: its header says no size")
+    if extent.width * extent.height > MAX_PIXELS:
+        raise InputError(
+            f"too large: {extent.width}x{extent.height} pixels, at most {MAX_PIXELS // 1_000_000} million can be read"
+        )
+    if extent.width * extent.height * extent.pixel_bytes > MAX_DECODED_BYTES:
+        raise InputError(
+            f"too large: {extent.width}x{extent.height} pixels of {extent.pixel_bytes} bytes, at most "
+            f"{MAX_DECODED_BYTES >> 20} MiB can be read"
+        )
+
+
+def decode_pixels(data: bytes, flags: int) -> np.ndarray | None:
+    """Pixels as OpenCV has them; None where it cannot decode them, or they would take too much memory.
+
+    Args:
+        data: a picture file's content.
+        flags: OpenCV's, how to decode it.
+    """
+    kind = kind_of(data)
+    if kind is None or kind is HEIC:
+        return None
+    try:
+        check_size(data, kind)
+        return cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except (cv2.error, InputError):
+        return None
+
+
+def read_pixels(path: Path, flags: int) -> np.ndarray | None:
+    """Pixels of a picture file as OpenCV has them; None where it is missing, cut off, too large, or none that OpenCV
+    decodes.
+
+    Args:
+        path: the file.
+        flags: OpenCV's, how to decode it.
+    """
+    try:
+        data = path.read_bytes() if path.stat().st_size <= MAX_FILE_BYTES else b""
+    except OSError:
+        return None
+    kind = kind_of(data)
+    return None if kind is None or not kind.is_complete(data) else decode_pixels(data, flags)
+
+
+def _kind(data: bytes) -> PictureKind:
+    """The kind of a picture file.
+
+    Raises:
+        InputError: it is empty, none that is read, or too short to tell.
+    """
+    if not data:
+        raise InputError("the file is empty")
+    if len(data) > MAX_FILE_BYTES:
+        raise InputError(f"too large: a file of more than {MAX_FILE_BYTES >> 20} MiB")
+    kind = kind_of(data)
+    if kind is None:
+        begun = any(
+            data[: len(start)] == start[: len(data)] for start in (b"\x89PNG", b"\xff\xd8", b"RIFF", b"II*", b"MM\0*")
+        )
+        if begun or (len(data) < 12 and data[:3] == b"\0\0\0" and b"ftyp".startswith(data[4:8])):
+            raise InputError("the image is cut off or damaged")
+        raise InputError(f"not an image ({', '.join(kind.name for kind in KINDS)})")
+    return kind
+
+
+def _decode_heic(data: bytes) -> np.ndarray | None:
+    """(H, W, 3) uint8 BGR of a HEIC file, turned as the camera noted; None where it cannot be decoded."""
+    try:
+        import pi_heif  # type: ignore[import-not-found]
+    except ModuleNotFoundError:
+        raise MissingExtraError("a HEIC picture", "heic") from None
+    try:
+        image = pi_heif.open_heif(io.BytesIO(data), convert_hdr_to_8bit=True)
+        pixels: Any = np.asarray(image)
+    except Exception:  # a damaged file fails in many ways
+        return None
+    if pixels.ndim != 3 or pixels.dtype != np.uint8:
+        return None
+    return np.ascontiguousarray(pixels[..., 2::-1])
+
+
+def _turned(pixels: np.ndarray, properties: dict[bytes, list[bytes]]) -> np.ndarray:
+    """Pixels of an AVIF file, turned and mirrored as its camera noted."""
+    for note in properties.get(b"irot", [])[:1]:
+        pixels = np.rot90(pixels, note[0] & 3 if note else 0)
+    for note in properties.get(b"imir", [])[:1]:
+        pixels = np.flip(pixels, axis=note[0] & 1 if note else 0)  # 0: top and bottom change places
+    return np.ascontiguousarray(pixels)
+
+
+def _to_rgb8(pixels: np.ndarray) -> np.ndarray:
+    """What OpenCV decoded, grey, BGR or BGRA of 8 or 16 bits, as (H, W, 3) uint8 RGB; the memory of 8-bit BGR is used
+    again."""
+    if pixels.dtype not in (np.uint8, np.uint16):
+        raise InputError(f"8 or 16 bits per channel expected, found {pixels.dtype}")
+    again = (
+        pixels.dtype == np.uint8 and pixels.shape[2:] == (3,) and pixels.flags.c_contiguous and pixels.flags.writeable
+    )
+    out = pixels if again else np.empty((*pixels.shape[:2], 3), np.uint8)
+    for start in range(0, len(pixels), _ROWS):
+        out[start : start + _ROWS] = _rows_to_rgb8(pixels[start : start + _ROWS])
+    return out
+
+
+def _rows_to_rgb8(pixels: np.ndarray) -> np.ndarray:
+    if pixels.dtype == np.uint16:
+        pixels = ((pixels.astype(np.uint32) + 128) // 257).astype(np.uint8)
+    if pixels.ndim == 2 or pixels.shape[2] == 1:
+        return cv2.cvtColor(pixels, cv2.COLOR_GRAY2RGB)
+    if pixels.shape[2] == 4:
+        alpha = pixels[..., 3:].astype(np.uint16)
+        pixels = ((pixels[..., :3] * alpha + 127) // 255).astype(np.uint8)
+    return cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB)
+
+
+def _begins_as_picture(path: Path) -> bool:
+    """Whether a file's first bytes are a picture's."""
+    try:
+        with path.open("rb") as file:
+            return kind_of(file.read(16)) is not None
+    except OSError:
+        return False
+
+
+def _natural_key(name: str) -> list[tuple[int, int | str]]:
+    """Sort key under which numbers count as numbers."""
+    return [(0, int(part)) if part.isdecimal() else (1, part.lower()) for part in re.split(r"(\d+)", name)]
