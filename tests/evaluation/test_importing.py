@@ -244,3 +244,83 @@ def test_a_pose_can_be_had_back() -> None:
     np.testing.assert_array_equal(pose.left.joints_m, perfect_pose(SAMPLES[0]).left.joints_m)
     assert pose.left.range_m == pytest.approx(np.linalg.norm(SAMPLES[0].joints_m[LEFT, ROOT]))
     assert pose.masks is not None and not predictions_for().pose(3, SAMPLES[3].camera).left.present
+
+
+def moved(content: dict[str, Any], change: Any, key: str = "joints_m") -> dict[str, Any]:
+    """The same file in another frame."""
+    for image in content["images"]:
+        for name in SIDES:
+            if image[name] is not None:
+                image[name][key] = change(np.array(image[name][key])).tolist()
+    return content
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda joints: joints * [1, -1, -1], "behind the camera"),
+        (lambda joints: -joints, "behind the camera"),
+        (lambda joints: joints - joints[ROOT], "relative to the root joint"),
+        (lambda joints: joints - joints[WRIST], "relative to the wrist"),
+        (lambda joints: joints * 1000, "looks like millimetres"),
+        (lambda joints: joints * 100, "looks like centimetres"),
+        (lambda joints: joints * [1, -1, 1], "y points up"),
+        (lambda joints: joints[:, [1, 0, 2]], "x and y are exchanged"),
+    ],
+)
+def test_metres_in_another_frame_are_refused_and_the_frame_is_named(tmp_path: Path, change: Any, message: str) -> None:
+    """Behind the camera they would score the best ranges of all."""
+    with pytest.raises(DataFormatError, match=message):
+        imported(write(tmp_path / "p.json", moved(truth_as_json("joints_m"), change)))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda joints: joints / [SAMPLES[0].camera.width, SAMPLES[0].camera.height], "fractions of the picture"),
+        (lambda joints: joints[:, ::-1], "rows and columns are exchanged"),
+    ],
+)
+def test_pixels_in_another_order_or_unit_are_refused(tmp_path: Path, change: Any, message: str) -> None:
+    content = moved(truth_as_json("joints_px", "canonical"), change, "joints_px")
+    with pytest.raises(DataFormatError, match=message):
+        imported(write(tmp_path / "p.json", content))
+
+
+def test_bad_predictions_in_the_right_frame_are_no_other_frame(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    content = moved(truth_as_json("joints_m"), lambda joints: joints + rng.normal(0, 0.05, 3) * [1, 1, 0])
+    assert len(imported(write(tmp_path / "p.json", content))) == len(SAMPLES)
+
+
+@pytest.mark.parametrize(("score", "expected"), [(1.0000001, 1.0), (-1e-7, 0.0), (float(np.float32(0.3)), 0.3)])
+def test_a_score_of_float32_is_taken_as_what_it_was_rounded_from(tmp_path: Path, score: float, expected: float) -> None:
+    content = truth_as_json("joints_m")
+    for image in content["images"]:
+        for name in SIDES:
+            if image[name] is not None:
+                image[name]["score"] = score
+    found = imported(write(tmp_path / "p.json", content))
+    np.testing.assert_allclose(found.score[found.present], expected, atol=1e-7)
+    assert ((found.score[found.present] >= 0) & (found.score[found.present] <= 1)).all()
+
+
+@pytest.mark.parametrize("place", ["file", "image", "twice"])
+def test_no_key_is_ignored(tmp_path: Path, place: str) -> None:
+    content = truth_as_json("joints_m")
+    if place == "file":
+        content["units"] = "mm"
+    elif place == "image":
+        content["images"][0]["camera"] = {}
+    text = json.dumps(content)
+    if place == "twice":
+        text = text.replace('"version": 1', '"version": 1, "version": 1')
+    (tmp_path / "p.json").write_text(text)
+    with pytest.raises(DataFormatError, match={"file": "'units'", "image": "'camera'", "twice": "twice"}[place]):
+        imported(tmp_path / "p.json")
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_byte_order_marks_of_predictions_are_read(tmp_path: Path, encoding: str) -> None:
+    (tmp_path / "p.json").write_bytes(json.dumps(truth_as_json("joints_m")).encode(encoding))
+    assert len(imported(tmp_path / "p.json")) == len(SAMPLES)

@@ -21,6 +21,8 @@ from twohands.skeleton import N_JOINTS, ROOT, WRIST
 from twohands.types import HandPose, HandSample, PinholeCamera
 
 FloatArray = NDArray[np.float64]
+ROUNDING = 1e-5
+"""By which a score may lie beyond 0 and 1: a sigmoid in float32 ends beyond them, and is taken as 0 or 1."""
 
 
 def complete_hand(
@@ -56,8 +58,10 @@ def complete_hand(
         DataFormatError: an array has another shape or is not finite, a box's corners are exchanged, the score is no
             number from 0 to 1, or nothing is given at all.
     """
-    if score is not None and (isinstance(score, bool) or not isinstance(score, Real) or not 0 <= score <= 1):
-        raise DataFormatError(f"score: a number from 0 to 1 expected, got {score!r}")
+    if score is not None:
+        if isinstance(score, bool) or not isinstance(score, Real) or not -ROUNDING <= score <= 1 + ROUNDING:
+            raise DataFormatError(f"score: a number from 0 to 1 expected, got {score!r}")
+        score = min(max(float(score), 0.0), 1.0)
     space = None if joints_m is None else _array("joints_m", joints_m, (N_JOINTS, 3))
     pixels = None if joints_px is None else _array("joints_px", joints_px, (N_JOINTS, 2))
     pose = None if canonical is None else unit_pose(_array("canonical", canonical, (N_JOINTS, 3)))

@@ -5,7 +5,6 @@ Images are matched by name, so the order is free; every image of the data set mu
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -17,11 +16,14 @@ import numpy as np
 
 from twohands.errors import DataFormatError, InputError
 from twohands.evaluation.completion import complete_hand, hand_lengths_m
-from twohands.evaluation.predictions import Predictions, predict
+from twohands.evaluation.frame_checks import FrameCheck, read_numbers, refuse_impossible
+from twohands.evaluation.predictions import Predictions, predict, read_npz
+from twohands.formats.structured import parse_json, read_bytes
 from twohands.skeleton import N_JOINTS, SIDES
 from twohands.types import HandPose, HandSample, TwoHandPose
 
 VERSION: Final = 1
+MAX_JSON_BYTES: Final = 1 << 29
 FIELDS: Final[Mapping[str, tuple[int, ...]]] = MappingProxyType(
     {"joints_m": (N_JOINTS, 3), "joints_px": (N_JOINTS, 2), "canonical": (N_JOINTS, 3), "box_px": (4,), "score": ()}
 )
@@ -85,9 +87,11 @@ def import_predictions(
         The predictions, in the order of the samples.
 
     Raises:
-        DataFormatError: images are missing, belong to no sample, or a hand's numbers cannot be used; named.
+        DataFormatError: images are missing, belong to no sample, or a hand's numbers cannot be used, or are in another
+            frame; named.
     """
     used: set[str] = set()
+    frames = FrameCheck()
 
     def estimate(sample: HandSample) -> TwoHandPose:
         if sample.source not in foreign.hands:
@@ -97,7 +101,7 @@ def import_predictions(
             )
         used.add(sample.source)
         left, right = (
-            _hand(sample, side, said, hand_length_m, foreign.path)
+            _hand(sample, side, said, hand_length_m, foreign.path, frames)
             for side, said in enumerate(foreign.hands[sample.source])
         )
         return TwoHandPose(left, right, sample.camera)
@@ -112,30 +116,44 @@ def import_predictions(
     if unknown := sorted(foreign.hands.keys() - used):
         others = f" and {len(unknown) - 1} more" if len(unknown) > 1 else ""
         raise DataFormatError(f"{foreign.path}: image '{unknown[0]}'{others}: not in the dataset '{dataset}'")
+    if (verdict := frames.verdict()) is not None:
+        raise DataFormatError(f"{foreign.path}: {verdict}")
     return predictions
 
 
 def _hand(
-    sample: HandSample, side: int, said: Mapping[str, Any] | None, hand_length_m: float | None, path: Path
+    sample: HandSample,
+    side: int,
+    said: Mapping[str, Any] | None,
+    hand_length_m: float | None,
+    path: Path,
+    frames: FrameCheck,
 ) -> HandPose:
     if said is None:
         return ABSENT
     length = hand_length_m or float(hand_lengths_m(sample)[side])
     try:
-        return complete_hand(sample.camera, length, **said)
+        hand = complete_hand(sample.camera, length, **said)
+        space, pixels = (read_numbers(said.get(name), FIELDS[name]) for name in ("joints_m", "joints_px"))
+        if space is not None:
+            refuse_impossible(space)
+        if sample.present[side]:
+            frames.add(sample.camera, sample.joints_px[side], space, pixels)
+        return hand
     except DataFormatError as error:
         raise DataFormatError(f"{path}: image '{sample.source}', {SIDES[side]} hand: {error}") from None
 
 
 def _read_json(path: Path) -> ForeignPredictions:
     try:
-        content: Any = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
+        content: Any = parse_json(read_bytes(path, "predictions file", MAX_JSON_BYTES))
+    except DataFormatError as error:
         raise DataFormatError(f"{path}: not a readable JSON file ({error})") from None
     top = _object(content)
     if top is None or not isinstance(top.get("images"), list):
         raise DataFormatError(f"{path}: expected an object with version, system and a list 'images'")
     _check_version(path, top.get("version"))
+    _refuse_unknown(path, "", top, ("version", "system", "images"))
     hands: dict[str, tuple[Mapping[str, Any] | None, Mapping[str, Any] | None]] = {}
     for number, entry in enumerate(cast("list[Any]", top["images"])):
         image = _object(entry)
@@ -144,6 +162,7 @@ def _read_json(path: Path) -> ForeignPredictions:
         source: str = image["source"]
         if source in hands:
             raise DataFormatError(f"{path}: image '{source}' is there twice")
+        _refuse_unknown(path, f"image '{source}', ", image, ("source", *SIDES))
         if absent := [side for side in SIDES if side not in image]:
             raise DataFormatError(f"{path}: image '{source}' says nothing about the {absent[0]} hand; null if absent")
         left, right = (_said(path, source, side, image[side]) for side in SIDES)
@@ -157,11 +176,13 @@ def _said(path: Path, source: str, side: str, value: Any) -> Mapping[str, Any] |
     said = _object(value)
     if said is None:
         raise DataFormatError(f"{path}: image '{source}', {side} hand: an object or null expected")
-    if unknown := sorted(said.keys() - FIELDS.keys()):
-        raise DataFormatError(
-            f"{path}: image '{source}', {side} hand: unknown '{unknown[0]}'; known: {', '.join(FIELDS)}"
-        )
+    _refuse_unknown(path, f"image '{source}', {side} hand: ", said, tuple(FIELDS))
     return said
+
+
+def _refuse_unknown(path: Path, where: str, record: Mapping[str, Any], known: tuple[str, ...]) -> None:
+    if unknown := sorted(record.keys() - set(known)):
+        raise DataFormatError(f"{path}: {where}unknown '{unknown[0][:60]}'; known: {', '.join(known)}")
 
 
 def _object(value: Any) -> dict[str, Any] | None:
@@ -170,16 +191,13 @@ def _object(value: Any) -> dict[str, Any] | None:
 
 
 def _read_npz(path: Path) -> ForeignPredictions:
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            stored: dict[str, np.ndarray] = {name: archive[name] for name in archive.files}
-    except Exception as error:  # a damaged archive fails in many ways
-        raise DataFormatError(f"{path}: not a complete npz file ({error})") from None
+    stored: dict[str, np.ndarray] = read_npz(path, "npz file")
     if "header" in stored:
         raise InputError(f"{path}: is a predictions file of twohands already; score it with twohands eval score")
     if missing := [name for name in ("version", "sources", "present") if name not in stored]:
         raise DataFormatError(f"{path}: lacks the array '{missing[0]}'")
     _check_version(path, stored["version"].item() if stored["version"].size == 1 else None)
+    _refuse_unknown(path, "", stored, ("version", "system", "sources", "present", *FIELDS))
     sources = [str(source) for source in stored["sources"].ravel()]
     given = [name for name in FIELDS if name in stored]
     for name, kinds in (("present", "biu"), *((name, "fiu") for name in given)):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import zipfile
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields
 from itertools import pairwise
@@ -20,12 +21,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twohands.errors import DataFormatError, InputError
+from twohands.formats.pictures import decode_pixels
+from twohands.formats.structured import parse_json
 from twohands.geometry.camera import unproject
 from twohands.geometry.rotation import centring_angles
 from twohands.skeleton import N_JOINTS, ROOT, SIDES
 from twohands.types import HandPose, HandSample, PinholeCamera, TwoHandPose
 
 VERSION: Final = 1
+MAX_NPZ_BYTES: Final = 8 << 30
+"""Of a predictions file, unpacked: a million pictures take 3 GB."""
 
 _ARRAYS: Final = {
     "present": ((), np.bool_),
@@ -248,12 +253,13 @@ def load_predictions(path: str | os.PathLike[str]) -> Predictions:
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such file")
+    stored = read_npz(path, "predictions file")
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            stored: dict[str, Any] = {name: archive[name] for name in archive.files}
-        content: Any = json.loads(str(stored["header"]))
-    except Exception as error:  # a damaged archive fails in many ways
+        content: Any = parse_json(str(stored["header"]))
+    except (KeyError, DataFormatError) as error:
         raise DataFormatError(f"{path}: not a complete predictions file ({error})") from None
+    if unknown := sorted(stored.keys() - _ARRAYS.keys() - _PACKED.keys() - {"header"}):
+        raise DataFormatError(f"{path}: unknown array '{unknown[0][:60]}'")
     if not isinstance(content, dict):
         raise DataFormatError(f"{path}: not a complete predictions file (its header is no JSON object)")
     header = cast("dict[str, Any]", content)
@@ -292,6 +298,27 @@ def load_predictions(path: str | os.PathLike[str]) -> Predictions:
     return predictions
 
 
+def read_npz(path: Path, what: str) -> dict[str, Any]:
+    """All arrays of an npz file, none of them pickled.
+
+    Args:
+        path: the file.
+        what: it is, for messages.
+
+    Raises:
+        DataFormatError: it is damaged, or would take more than `MAX_NPZ_BYTES`.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            size = sum(member.file_size for member in archive.infolist())
+        if size <= MAX_NPZ_BYTES:
+            with np.load(path, allow_pickle=False) as arrays:
+                return {name: arrays[name] for name in arrays.files}
+    except Exception as error:  # a damaged archive fails in many ways
+        raise DataFormatError(f"{path}: not a complete {what} ({' '.join(str(error).split())[:200]})") from None
+    raise DataFormatError(f"{path}: {what} of more than {MAX_NPZ_BYTES >> 30} GiB")
+
+
 def check_predictions(predictions: Predictions, where: str) -> None:
     """Looks for what no score can be made of.
 
@@ -301,7 +328,8 @@ def check_predictions(predictions: Predictions, where: str) -> None:
 
     Raises:
         DataFormatError: no image at all, an image twice, or a hand that is present with numbers that are partly
-            missing: each of its arrays must be finite throughout, or NaN throughout for "not predicted".
+            missing: each of its arrays must be finite throughout, or NaN throughout for "not predicted"; or that is
+            behind the camera.
     """
     if not len(predictions):
         raise DataFormatError(f"{where}: holds no predictions")
@@ -319,6 +347,8 @@ def check_predictions(predictions: Predictions, where: str) -> None:
         _refuse(predictions, predictions.present & (partly | infinite), f"{name} that are not all finite", where)
     no_joints = ~np.isfinite(predictions.joints_m).all(axis=(2, 3))
     _refuse(predictions, predictions.present & predictions.valid & no_joints, "no joints_m though it is valid", where)
+    behind = predictions.joints_m[:, :, ROOT, 2] <= 0
+    _refuse(predictions, predictions.present & predictions.valid & behind, "joints_m behind the camera (z <= 0)", where)
 
 
 def _refuse(predictions: Predictions, wrong: NDArray[np.bool_], what: str, where: str) -> None:
@@ -357,10 +387,7 @@ def _encode_png(mask: NDArray[np.uint8]) -> bytes:
 
 
 def _decode_png(data: bytes) -> NDArray[np.uint8]:
-    try:
-        mask = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error:  # its header says more pixels than OpenCV takes
-        mask = None
+    mask = decode_pixels(data, cv2.IMREAD_UNCHANGED)
     if mask is None:
         raise DataFormatError("a mask of the predictions file is damaged")
     return np.asarray(mask, np.uint8)
