@@ -40,3 +40,7 @@ class MissingExtraError(TwoHandsError):
 
 class RendererError(TwoHandsError):
     """Nothing can be rendered on this machine."""
+
+
+class PlausibilityWarning(UserWarning):
+    """What was given can be computed with, but is hard to believe; the message names the likely mistake."""

@@ -99,10 +99,25 @@ def test_ranges_scale_with_the_hand_length_given_in_cm(picture, weights, tmp_pat
     assert ranges[8] / ranges[10] == pytest.approx(0.8, rel=1e-4)
 
 
-@pytest.mark.parametrize(("length", "remarked"), [(3.9, True), (4, False), (15, False), (15.1, True)])
-def test_an_unusual_hand_length_is_remarked_upon(picture, weights, tmp_path, capsys, length, remarked):
-    assert run_track(picture, "--out", tmp_path / "o", "--weights", weights, "--fov", 60, "--hand-length", length) == 0
-    assert ("unusual" in capsys.readouterr().err) == remarked
+@pytest.mark.parametrize(
+    ("options", "likely"),
+    [
+        (("--fov", 60, "--hand-length", 4.3), "inches"),
+        (("--fov", 60, "--hand-length", 110), "millimetres"),
+        (("--fov", 1.2, "--hand-length", 10), "radians"),
+        (("--fov", 179.9, "--hand-length", 10), "fisheye"),
+        (("--fov", 60, "--hand-length", 10), None),
+    ],
+)
+def test_what_is_hard_to_believe_is_one_line_that_names_the_likely_unit(
+    picture, weights, tmp_path, capsys, options, likely
+):
+    assert run_track(picture, "--out", tmp_path / "o", "--weights", weights, *options) == 0
+    said = [
+        line for line in capsys.readouterr().err.splitlines() if "at " not in line
+    ]  # of the range, more may be said
+    assert all(line.startswith("twohands: warning: ") for line in said)
+    assert len(said) == (likely is not None) and (likely or "") in "".join(said)
 
 
 def test_an_assumed_camera_has_one_focal_length_however_it_is_held():

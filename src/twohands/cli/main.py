@@ -7,15 +7,24 @@ Only the chosen module is imported, so help and tracking need none of the extras
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import importlib
 import io
 import os
+import signal
 import sys
 import typing
 from collections.abc import Sequence
 
 from twohands import __version__
+from twohands.cli.process import (
+    EndedBySignal,
+    ending_like_ctrl_c,
+    keep_to_ourselves,
+    warnings_as_lines,
+    without_native_noise,
+)
 from twohands.errors import MissingExtraError, TwoHandsError
 
 VERBS = {
@@ -43,6 +52,9 @@ _EXTRA_OF_MODULE = {
     "ray": "cluster",
 }
 
+READING_VERBS = ("track", "demo", "lift", "inspect", "eval", "bench")
+"""Those that read what others made, with libraries that print what they think of it; and start no programs of others
+whose words would matter."""
 EXIT_USER_ERROR = 2
 EXIT_INTERRUPTED = 130
 EXIT_BROKEN_PIPE = 141
@@ -56,16 +68,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: arguments after the program's name; None for those of this process.
 
     Returns:
-        0 on success, 1 where `inspect` found problems, 2 where the user can mend what went wrong, 130 after Ctrl-C, 141
-        where the reader of the output left before its end.
+        0 on success, 1 where `inspect` found problems, 2 where the user can mend what went wrong, 130 after Ctrl-C, 128
+        and the signal's number after another one that asked to end, 141 where the reader of the output left early.
     """
     words = list(sys.argv[1:] if argv is None else argv)
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # file names are bytes, and need not be text
-    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")  # its decoders' complaints come out as our one line
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    keep_to_ourselves()
     try:
-        code = _run(words)
+        with ending_like_ctrl_c(), warnings_as_lines():
+            code = _run(words)
         sys.stdout.flush()
         return code
     except TwoHandsError as error:
@@ -75,9 +87,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         if extra is None:
             raise
         return _fail(str(MissingExtraError(f"twohands {words[0]}", extra)))
+    except EndedBySignal as end:
+        with contextlib.suppress(OSError):  # of SIGHUP's terminal there is nothing left
+            print(f"twohands: ended by {signal.Signals(end.number).name}", file=sys.stderr)
+        return 128 + end.number
     except KeyboardInterrupt:
         print("twohands: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
+    except MemoryError:
+        return _fail("not enough memory")
     except BrokenPipeError:  # whoever read our output, `head` say, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_BROKEN_PIPE
@@ -120,7 +138,8 @@ def _run_verb(verb: str, arguments: Sequence[str]) -> int:
         )
     except SystemExit as stop:  # tyro has printed its help (0) or what is wrong with the arguments (2)
         return int(stop.code or 0)
-    return module.run(args)
+    with without_native_noise() if verb in READING_VERBS else contextlib.nullcontext():
+        return module.run(args)
 
 
 def _help() -> str:

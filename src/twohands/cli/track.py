@@ -9,6 +9,7 @@ import json
 import math
 import os
 import sys
+import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -22,16 +23,17 @@ import tyro
 from twohands.cli.output import check_output_folder, write_file
 from twohands.errors import InputError, MissingExtraError, TwoHandsError
 from twohands.formats.camera_files import camera_for_image, read_camera
+from twohands.formats.pictures import list_images, look_through, read_image
 from twohands.inference.estimator import DEFAULT_HAND_LENGTH_M, HandEstimator
 from twohands.inference.records import to_dict
-from twohands.inference.sources import list_images, read_image
 from twohands.inference.weights import DEFAULT_PRESET
 from twohands.skeleton import SIDES
 from twohands.types import PinholeCamera, TwoHandPose
 from twohands.visualization.overlay import draw_overlay
 
 DEFAULT_FOV_DEG = 60.0
-PLAUSIBLE_HAND_LENGTH_CM = (4.0, 15.0)
+KEEP_EVERY_S = 10.0
+"""How often hands.json of a folder is written while it is worked on."""
 MAX_NAME_BYTES = 200
 """Of a result's file name, without its ending; file systems take 255."""
 
@@ -46,11 +48,11 @@ class TrackArgs:
     """Arguments of `twohands track`."""
 
     input: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="INPUT")]
-    """Image (PNG, JPEG, WebP, BMP) or folder of images."""
+    """Image (PNG, JPEG, WebP, BMP, TIFF, AVIF; HEIC with the extra heic) or folder of images."""
     out: Annotated[Path | None, option("DIR")] = None
     """Folder for the results; out/track/NAME-OF-INPUT if not given."""
     camera: Annotated[Path | None, option("FILE")] = None
-    """Camera file: JSON with fx, fy, cx, cy, width, height[, distortion], or the YAML of OpenCV's calibration."""
+    """Camera file: JSON with fx, fy, cx, cy, width, height[, distortion], or a calibration tool's (docs/inputs.md)."""
     fov: Annotated[float | None, option("DEG")] = None
     """Horizontal field of view of the upright pictures, where there is no camera file; 60 along the longer side if not
     given."""
@@ -88,6 +90,8 @@ def run(args: TrackArgs) -> int:
     camera = _camera(args)
     folder = os.path.isdir(args.input)  # Path.is_dir raises for names too long for a file
     files = list_images(args.input) if folder else [args.input]
+    if folder:
+        _say_left_out(look_through(args.input).others)
     pictures = _readable(files, camera, args.fov) if folder else [_open(args.input, 0, camera, args.fov)]
     out = args.out or Path("out") / "track" / (args.input.resolve().name if folder else args.input.stem)
     if folder and os.path.isdir(out) and os.path.samefile(out, args.input):
@@ -128,7 +132,7 @@ def track_pictures(
     source: str,
     skip: bool = False,
 ) -> dict[str, Any]:
-    """Estimate every picture and write overlay, three-view figure and, at the end or when interrupted, hands.json.
+    """Estimate every picture and write overlay, three-view figure and, now and then and at whatever end, hands.json.
 
     Args:
         pictures: what to work on.
@@ -145,6 +149,21 @@ def track_pictures(
     names = _result_names(files)
     poses: list[TwoHandPose] = []
     with_views = True
+    kept = time.monotonic()
+
+    def record() -> dict[str, Any]:
+        return to_dict(
+            poses,
+            source=source,
+            weights=estimator.card.name,
+            config=estimator.card.settings(),
+            hand_length_m=hand_length_m,
+            files=[path.name for path in files],
+        )
+
+    def keep() -> None:
+        write_file(out / "hands.json", (json.dumps(record()) + "\n").encode())
+
     try:
         for picture in pictures:
             try:
@@ -159,18 +178,13 @@ def track_pictures(
             if with_views:
                 with_views = _write_views(out / f"{name}_views.png", picture, pose)
             poses.append(replace(pose, masks=None))
+            if time.monotonic() - kept > KEEP_EVERY_S:  # for an end that lets nothing more be done
+                keep()
+                kept = time.monotonic()
     finally:
-        record = to_dict(
-            poses,
-            source=source,
-            weights=estimator.card.name,
-            config=estimator.card.settings(),
-            hand_length_m=hand_length_m,
-            files=[path.name for path in files],
-        )
         if poses:
-            write_file(out / "hands.json", (json.dumps(record) + "\n").encode())
-    return record
+            keep()
+    return record()
 
 
 def print_table(record: dict[str, Any]) -> None:
@@ -224,28 +238,29 @@ def _camera(args: TrackArgs) -> PinholeCamera | None:
     if args.camera is not None and args.fov is not None:
         raise InputError("give --camera or --fov, not both")
     if args.fov is not None:
-        PinholeCamera.from_fov(args.fov, 1, 1)
+        PinholeCamera.from_fov(args.fov, 1000, 1000)
     return None if args.camera is None else read_camera(args.camera)
 
 
 def _say_assumptions(args: TrackArgs) -> None:
-    """Name what was assumed, and what was given but is hard to believe."""
+    """Name what was assumed."""
     if args.camera is None and args.fov is None:
         _say(
             f"no camera given: assuming a field of view of {DEFAULT_FOV_DEG:g} degrees along the longer side; "
             "ranges depend on it (--camera FILE or --fov DEG)"
-        )
-    low, high = PLAUSIBLE_HAND_LENGTH_CM
-    if args.hand_length is not None and not low <= args.hand_length <= high:
-        _say(
-            f"a hand length of {args.hand_length:g} cm is unusual; "
-            f"from wrist to middle knuckle it is {low:g} to {high:g} cm"
         )
     if args.hand_length is None:
         _say(
             f"no hand length given: assuming {100 * DEFAULT_HAND_LENGTH_M:g} cm from wrist to middle knuckle; "
             "ranges scale with it (--hand-length CM)"
         )
+
+
+def _say_left_out(others: list[Path]) -> None:
+    """Count and name the files of a folder that are no pictures."""
+    if others:
+        named = ", ".join(path.name for path in others[:5]) + (", ..." if len(others) > 5 else "")
+        _say(f"{len(others)} file{'s'[: len(others) > 1]} left out, no pictures that can be read: {_printable(named)}")
 
 
 def _open(path: Path, index: int, camera: PinholeCamera | None, fov_deg: float | None) -> Picture:

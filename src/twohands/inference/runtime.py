@@ -1,7 +1,8 @@
-"""OpenVINO's entry point, so opened that signals stay harmless, and how it reads a network."""
+"""OpenVINO's entry point, so opened that signals stay harmless and nothing is sent, and how it reads a network."""
 
 from __future__ import annotations
 
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -22,10 +23,25 @@ def open_core() -> Any:
         return thread.submit(_open).result()
 
 
-def _open() -> Any:
-    import openvino
+def import_openvino() -> Any:
+    """The package `openvino`, without what it sends home.
 
-    core = openvino.Core()
+    When imported, it looks up its maker's statistics server and leaves a number for this user in the home folder,
+    unless the package `openvino_telemetry` is missing. So that one is missing for as long as the import takes.
+    """
+    name = "openvino_telemetry"
+    before = {name: sys.modules[name]} if name in sys.modules else {}
+    sys.modules[name] = None  # type: ignore[assignment]
+    try:
+        import openvino
+    finally:
+        del sys.modules[name]
+        sys.modules.update(before)
+    return openvino
+
+
+def _open() -> Any:
+    core = import_openvino().Core()
     core.get_property("CPU", "FULL_DEVICE_NAME")  # loads the plugin
     return core
 
