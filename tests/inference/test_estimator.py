@@ -1,12 +1,23 @@
 """The pipeline gives true metres for true maps, feeds its networks what they expect, and yields to ground truth."""
 
 import dataclasses
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from tests.oracles import UNUSED, Oracle, drawn_hands, full_truth, hand_masks, make_card, restaged, true_boxes
+from tests.oracles import (
+    UNUSED,
+    Oracle,
+    drawn_hands,
+    full_truth,
+    hand_masks,
+    make_card,
+    restaged,
+    true_boxes,
+    write_tiny_weights,
+)
 
-from twohands.errors import InputError
+from twohands.errors import InputError, PlausibilityWarning
 from twohands.evaluation.predictions import predict
 from twohands.geometry.boxes import apply_homography
 from twohands.geometry.camera import unproject
@@ -764,3 +775,28 @@ def test_a_rolled_look_without_line_of_sight_does_not_cost_the_hand_its_pose():
     assert np.isfinite(poses).all() and np.isfinite(again.joints_px).all()
     np.testing.assert_allclose(np.delete(again.joint_scores.ravel(), LEFT * 21 + ROOT), np.sqrt((1 + 0.4 + 0.4) / 3))
     assert again.joint_scores[LEFT, ROOT] < 0.1  # the looks do not agree where it is
+
+
+def test_four_threads_share_one_estimator(tmp_path):
+    """As a web server or a window with a worker does; one request for all raised "Infer Request is busy"."""
+    estimator = HandEstimator.from_preset(write_tiny_weights(tmp_path / "tiny"))
+    camera = PinholeCamera.from_fov(60, 160, 96)
+    rng = np.random.default_rng(0)
+    images = [rng.integers(0, 256, (96, 160, 3), dtype=np.uint8) for _ in range(24)]
+    expected = [estimator.estimate(image, camera) for image in images]
+    with ThreadPoolExecutor(max_workers=4) as threads:
+        found = list(threads.map(lambda image: estimator.estimate(image, camera), images))
+    for one, other in zip(expected, found, strict=True):
+        for hand, same in zip(one.hands, other.hands, strict=True):
+            assert hand.present == same.present and hand.range_m == same.range_m
+            if hand.present:
+                np.testing.assert_array_equal(hand.joints_px, same.joints_px)
+
+
+def test_hand_lengths_and_cameras_in_another_unit_are_warned_of(tmp_path):
+    estimator = HandEstimator.from_preset(write_tiny_weights(tmp_path / "tiny"))
+    image = np.zeros((96, 160, 3), np.uint8)
+    with pytest.warns(PlausibilityWarning, match="centimetres; metres are expected"):
+        estimator.estimate(image, PinholeCamera.from_fov(60, 160, 96), hand_length_m=11)
+    with pytest.warns(PlausibilityWarning, match="exchanged"):
+        estimator.estimate(image, PinholeCamera(100, 100, 48, 80, 160, 96))

@@ -43,6 +43,7 @@ from twohands.evaluation.report import EvaluationReport, table_row
 from twohands.evaluation.results import results_page, sweep_findings, sweep_table
 from twohands.evaluation.summary import Summary, budget_costs, budget_results, is_number, summarise
 from twohands.evaluation.summary import Table as TextTable
+from twohands.formats.structured import parse_json
 from twohands.inference.budget import STUDIES, Study, error_budget, studies_without_masks
 from twohands.inference.budget import VERSION as BUDGET_VERSION
 from twohands.inference.estimator import HandEstimator
@@ -441,9 +442,9 @@ def _read_json(path: Path, read: Callable[[dict[str, Any]], Read], what: str) ->
     if not path.is_file():
         raise InputError(f"{path}: no such file")
     try:
-        return read(json.loads(path.read_text(encoding="utf-8")))
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, StopIteration, RecursionError) as error:
-        reason = f" ({error})" if isinstance(error, ValueError) else ""
+        return read(parse_json(path.read_bytes()))
+    except (OSError, DataFormatError, ValueError, KeyError, TypeError, AttributeError, StopIteration) as error:
+        reason = f" ({error})" if isinstance(error, ValueError | DataFormatError) else ""
         raise DataFormatError(f"{path}: not {what}{reason}") from None
 
 

@@ -27,6 +27,7 @@ from twohands.inference.tracker import HandTracker
 from twohands.lifting.mediapipe import Names
 from twohands.lifting.placing import place_hands, sides_word, surplus
 from twohands.lifting.reading import Hints, Kind, read_hands
+from twohands.plausibility import camera_doubts, hand_length_doubts, warn
 from twohands.skeleton import SIDES
 from twohands.types import PinholeCamera, TwoHandPose
 
@@ -86,6 +87,7 @@ def run(args: LiftArgs) -> int:
     hints = Hints(args.kind, None if args.side is None else SIDES.index(args.side), args.names, args.view)
     foreign = read_hands(args.input, camera, hints)
     length_m = _bone_length_m(args, foreign.bone_ratio)
+    warn(hand_length_doubts(length_m / foreign.bone_ratio) + camera_doubts(camera))
     placed = place_hands(foreign, camera, length_m, poses=poses, mirrored=args.mirrored)
     if args.smooth:
         tracker = HandTracker()

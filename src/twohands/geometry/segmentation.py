@@ -192,7 +192,8 @@ def log_odds(probabilities: np.ndarray) -> np.ndarray:
 
 def probability(logits: np.ndarray) -> np.ndarray:
     """1 / (1 + exp(-logits)), in the given precision: what has these `log_odds`."""
-    return 1 / (1 + np.exp(-logits))
+    with np.errstate(over="ignore"):  # of a network that says so large a number, exp is infinite and this 0
+        return 1 / (1 + np.exp(-logits))
 
 
 def hand_scores(energies: np.ndarray, seg_logits: np.ndarray) -> np.ndarray:

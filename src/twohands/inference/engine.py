@@ -6,6 +6,8 @@ The estimator knows only `Networks`: three callables. A test, or another runtime
 from __future__ import annotations
 
 import functools
+import threading
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -46,7 +48,7 @@ class Networks:
 
 
 class OpenVinoNetwork:
-    """One ONNX file, compiled for the CPU, called like a function.
+    """One ONNX file, compiled for the CPU, called like a function, from as many threads as one likes.
 
     For pictures of another size than the file's it is compiled again when the first of them comes.
 
@@ -93,7 +95,8 @@ class OpenVinoNetwork:
             config={"PERFORMANCE_HINT": "LATENCY", "INFERENCE_NUM_THREADS": threads},
         )
         self._network = self._compile(model)
-        self._by_size = {_size(model.inputs[0]): self._network}
+        self._lock = threading.Lock()
+        self._by_size = {_size(model.inputs[0]): (self._network, deque())}
 
     def __call__(self, batch: np.ndarray) -> tuple[np.ndarray, ...]:
         """Run the network.
@@ -104,15 +107,24 @@ class OpenVinoNetwork:
         Returns:
             Every output, in the order of the file.
         """
-        network = self._by_size.get(batch.shape[2:]) or self._for_size(batch.shape)
-        result = network([np.ascontiguousarray(batch, dtype=np.float32)])
-        return tuple(result[port] for port in network.outputs)
+        network, idle = self._for_size(batch.shape)
+        try:
+            request = idle.pop()
+        except IndexError:
+            request = network.create_infer_request()
+        result = request.infer([np.ascontiguousarray(batch, dtype=np.float32)], share_inputs=True)
+        outputs = tuple(result[port] for port in network.outputs)  # copies, so that the request can serve the next call
+        idle.append(request)
+        return outputs
 
-    def _for_size(self, shape: tuple[int, ...]) -> Any:
-        model = self._model.clone()
-        model.reshape([-1, *shape[1:]])
-        self._by_size[shape[2:]] = self._compile(model)
-        return self._by_size[shape[2:]]
+    def _for_size(self, shape: tuple[int, ...]) -> tuple[Any, deque[Any]]:
+        """The network compiled for a size, and its requests that no thread is using."""
+        with self._lock:
+            if shape[2:] not in self._by_size:
+                model = self._model.clone()
+                model.reshape([-1, *shape[1:]])
+                self._by_size[shape[2:]] = (self._compile(model), deque())
+            return self._by_size[shape[2:]]
 
     @property
     def threads(self) -> int:

@@ -27,7 +27,7 @@ DEFAULT_HAND_LENGTH_M: Final = 0.10
 
 
 class HandEstimator:
-    """Both hands in metres from one picture; never changes once it is made.
+    """Both hands in metres from one picture; never changes once it is made, so threads may share it.
 
     Args:
         networks: the three networks as functions.

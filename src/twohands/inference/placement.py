@@ -21,6 +21,7 @@ from twohands.geometry.projection import Method, project_global, pull_to_rays, r
 from twohands.geometry.segmentation import HandBoxes
 from twohands.inference.decision import PlacementConfig
 from twohands.inference.keypoints import Keypoints
+from twohands.plausibility import range_doubts, warn
 from twohands.types import GlobalPose, HandPose, PinholeCamera
 
 METHOD: Final[Method] = "fitted"
@@ -140,6 +141,7 @@ def hand_poses(
             method=METHOD,
             valid=valid,
         )
+    warn([doubt for hand in hands if hand.range_m is not None for doubt in range_doubts(hand.range_m)], stacklevel=4)
     return hands[0], hands[1]
 
 

@@ -19,6 +19,7 @@ from twohands.inference.engine import Networks
 from twohands.inference.keypoints import Keypoints
 from twohands.inference.segmenter import HandMaps
 from twohands.inference.weights import WeightsCard
+from twohands.plausibility import camera_doubts, hand_length_doubts, warn
 from twohands.types import GlobalPose, HandCrop, PinholeCamera
 
 
@@ -100,7 +101,10 @@ class Stages:
 
 
 def check_picture(image: np.ndarray, camera: PinholeCamera, hand_length_m: float | np.ndarray) -> None:
-    """Refuse what cannot be computed with; messages name what was found.
+    """Refuse what cannot be computed with, and warn of what is hard to believe; messages name what was found.
+
+    Warns:
+        PlausibilityWarning: camera or hand length are those of no camera or hand (`twohands.plausibility`).
 
     Raises:
         InputError: image, camera and hand length do not fit together.
@@ -115,3 +119,5 @@ def check_picture(image: np.ndarray, camera: PinholeCamera, hand_length_m: float
     lengths_m = np.asarray(hand_length_m, np.float64)
     if lengths_m.shape not in ((), (2,)) or not (np.isfinite(lengths_m) & (lengths_m > 0)).all():
         raise InputError(f"hand length must be a positive number of metres, got {hand_length_m}")
+    doubts = [doubt for length in sorted(set(np.ravel(lengths_m).tolist())) for doubt in hand_length_doubts(length)]
+    warn(doubts + camera_doubts(camera), stacklevel=3)

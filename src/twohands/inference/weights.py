@@ -45,8 +45,9 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from twohands.errors import CheckpointError
+from twohands.errors import CheckpointError, DataFormatError
 from twohands.files import write_whole
+from twohands.formats.structured import parse_json
 from twohands.inference.decision import DecisionConfig, PictureView, PlacementConfig, ViewConfig, overridden
 
 DEFAULT_PRESET = "fast"
@@ -56,6 +57,8 @@ NETWORK_INPUT = "(x - 128) / 256"
 NETWORK_NAMES = ("hand_seg_net", "pose_net_2d", "pose_net_3d")
 CROP_KINDS = ("square", "perspective")
 HEATMAP_DECODERS = ("subpixel", "softargmax")
+MAX_INPUT = 4096
+"""Pixels of a side of a network's input."""
 STRIDE = 32
 """What both sides of HandSegNet's input must be multiples of."""
 
@@ -97,10 +100,10 @@ class WeightsCard:
     network_input: str = NETWORK_INPUT
 
     def __post_init__(self) -> None:
-        if len(self.seg_input_size) != 2 or min(self.seg_input_size) < 1:
+        if len(self.seg_input_size) != 2 or min(self.seg_input_size) < 1 or max(self.seg_input_size) > MAX_INPUT:
             raise CheckpointError(f"card: hand_seg_net.input_size must be [height, width], got {self.seg_input_size}")
-        if self.crop_size < 1:
-            raise CheckpointError(f"card: pose_net_2d.crop_size must be positive, got {self.crop_size}")
+        if not 1 <= self.crop_size <= MAX_INPUT:
+            raise CheckpointError(f"card: pose_net_2d.crop_size must be 1 to {MAX_INPUT}, got {self.crop_size}")
         if self.crop_kind not in CROP_KINDS:
             raise CheckpointError(f"card: pose_net_2d.crop_kind must be one of {CROP_KINDS}, got {self.crop_kind!r}")
         if not self.crop_margin > 0:
@@ -242,8 +245,8 @@ def read_card(folder: Path) -> WeightsCard:
     """
     path = folder / "card.json"
     try:
-        card = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        card = parse_json(path.read_bytes())
+    except (OSError, DataFormatError) as error:
         raise CheckpointError(f"{path}: not a readable card: {error}") from error
     if not isinstance(card, dict):
         raise CheckpointError(f"{path}: a JSON object expected, found {type(card).__name__}")

@@ -16,6 +16,7 @@ from twohands.geometry.lifting import canonical_from_shape, lift
 from twohands.geometry.projection import Method
 from twohands.lifting.foreign import ForeignFrame, ForeignHand, ForeignHands
 from twohands.lifting.reading import Hints, from_record
+from twohands.plausibility import camera_doubts, hand_length_doubts, warn
 from twohands.skeleton import N_JOINTS, SIDES
 from twohands.types import HandPose, PinholeCamera, TwoHandPose
 
@@ -50,6 +51,7 @@ def lift_hands(
         InputError: a hand length that is no positive number, or a tracker that knows the picture alone.
     """
     foreign = from_record(results, camera, hints)
+    warn(hand_length_doubts(hand_length_m) + camera_doubts(camera))
     return place_hands(foreign, camera, hand_length_m * foreign.bone_ratio, mirrored=mirrored)
 
 
