@@ -32,7 +32,7 @@ from twohands.datasets.ego3dhands import Ego3DHands
 from twohands.datasets.files import existing_folder, read_json
 from twohands.datasets.opening import open_dataset
 from twohands.errors import InputError
-from twohands.inference.sources import list_images, read_image
+from twohands.formats.pictures import list_images, read_image
 from twohands.skeleton import N_JOINTS, SIDES
 from twohands.types import HandSample, PinholeCamera
 
