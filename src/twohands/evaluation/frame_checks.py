@@ -57,7 +57,7 @@ class FrameCheck:
         errors: by frame, the mean distance of each hand's joints to its labels in 2D, as a fraction of the diagonal.
     """
 
-    errors: dict[str, list[float]] = field(default_factory=dict)
+    errors: dict[str, list[float]] = field(default_factory=lambda: dict[str, list[float]]())
 
     def add(
         self,
