@@ -33,7 +33,7 @@ def test_parents_form_five_chains_from_the_wrist():
 
 
 def test_bones():
-    """The 20 of SPEC 4: 0-1, 1-2, ..; 0-5, ..; 0-9, ..; 0-13, ..; 0-17, .."""
+    """The 20 of paper Eq. 2: 0-1, 1-2, ..; 0-5, ..; 0-9, ..; 0-13, ..; 0-17, .."""
     assert len(sk.BONES) == len(set(sk.BONES)) == 20
     assert {bone for bone in sk.BONES if 0 in bone} == {(0, 1), (0, 5), (0, 9), (0, 13), (0, 17)}
     assert all(parent == child - 1 or parent == 0 for parent, child in sk.BONES)
@@ -62,12 +62,12 @@ UP, DOWN = (1, 2, 3, 4), (4, 3, 2, 1)
     ],
 )
 def test_maps_by_name(name, theirs):
-    """ours = theirs[m], with their order written in words (SPEC 7.4, 7.5)."""
+    """ours = theirs[m], with their order written in words (docs/datasets.md)."""
     assert tuple(theirs[i] for i in getattr(sk, name)) == sk.JOINT_NAMES
 
 
 def test_part_labels():
-    """1..7 the left hand, 8..14 the right, in the order arm, palm, thumb .. little (SPEC 1.1)."""
+    """1..7 the left hand, 8..14 the right, in the order arm, palm, thumb .. little (docs/dataset-format.md)."""
     labels = [sk.part_label(side, part) for side in (sk.LEFT, sk.RIGHT) for part in range(len(sk.PART_NAMES))]
     assert labels == list(range(1, sk.N_PART_LABELS))
     assert sk.part_label(sk.LEFT, sk.PART_NAMES.index("arm")) == 1

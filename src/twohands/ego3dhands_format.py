@@ -5,7 +5,7 @@ of the image, zeros for an absent hand) exist only on one side of these function
 conventions of the house: metres, (x right, y down, z forward), pixels with (0, 0) at the outer corner, NaN for an
 absent hand.
 
-Source: SPEC 1.1, measured on the dataset's official sample.
+Source: the dataset's README and its official sample; docs/dataset-format.md.
 """
 
 from __future__ import annotations

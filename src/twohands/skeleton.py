@@ -28,7 +28,7 @@ FINGERTIPS: Final = (4, 8, 12, 16, 20)
 PARENTS: Final = (-1, 0, 1, 2, 3, 0, 5, 6, 7, 0, 9, 10, 11, 0, 13, 14, 15, 0, 17, 18, 19)
 """Parent of every joint; -1 for the wrist."""
 BONES: Final = tuple((parent, child) for child, parent in enumerate(PARENTS) if parent >= 0)
-"""The 20 bones (parent, child) over which the bone-length loss and error run (SPEC 4)."""
+"""The 20 bones (parent, child) over which the bone-length loss and error run (paper Eq. 2)."""
 
 KEY_BONES: Final = ((WRIST, ROOT), (LITTLE_MCP, ROOT))
 """Candidates for the key bone of the global projection: (secondary joint, root joint)."""
@@ -56,8 +56,8 @@ def part_label(side: int, part: int) -> int:
 
 # Other orders. Each map m holds, for every joint of ours, its index there: ours = theirs[..., m, :].
 FROM_STB: Final = (0, 17, 18, 19, 20, 13, 14, 15, 16, 9, 10, 11, 12, 5, 6, 7, 8, 1, 2, 3, 4)
-"""STB: palm centre (not wrist), then little..thumb, base to tip (SPEC 7.4)."""
+"""STB: palm centre (not wrist), then little..thumb, base to tip (docs/datasets.md)."""
 FROM_RHD: Final = (0, 4, 3, 2, 1, 8, 7, 6, 5, 12, 11, 10, 9, 16, 15, 14, 13, 20, 19, 18, 17)
-"""RHD/RHP: wrist, then thumb..little, each tip to base (SPEC 7.5)."""
+"""RHD/RHP: wrist, then thumb..little, each tip to base (docs/datasets.md)."""
 FROM_INTERHAND: Final = (20, 3, 2, 1, 0, 7, 6, 5, 4, 11, 10, 9, 8, 15, 14, 13, 12, 19, 18, 17, 16)
 """InterHand2.6M, one hand of 21: thumb..little, each tip to base, wrist last."""

@@ -77,7 +77,7 @@ class PinholeCamera:
 
     @classmethod
     def ego3dhands(cls, width: int = 480, height: int = 270) -> PinholeCamera:
-        """The paper's camera: f = 187.932 px at 480x270, centred principal point (SPEC 1.1)."""
+        """The paper's camera: f = 187.932 px at 480x270, centred principal point (docs/dataset-format.md)."""
         focal = 187.932202 * height / 270
         return cls(focal, focal, width / 2, height / 2, width, height)
 
@@ -180,7 +180,8 @@ class GlobalPose:
     Attributes:
         joints_m: (..., 21, 3) camera frame, metres; NaN where not valid.
         radius_m: (...) distance of the root joint from the pinhole; NaN where not valid.
-        theta, phi: (...) direction of the root joint in radians (SPEC 5.1); known wherever its pixel is, else NaN.
+        theta, phi: (...) direction of the root joint in radians (docs/conventions.md); known wherever its pixel is,
+            else NaN.
         key_bone: (...) index into `skeleton.KEY_BONES` of the bone that was, or would be, used.
         valid: (...) bool.
     """

@@ -169,7 +169,7 @@ def test_a_camera_of_no_numbers_is_named(tmp_path: Path, text: str) -> None:
 
 
 class TestOfficialSample:
-    """SPEC 10.1 on the authors' own instance."""
+    """The facts of docs/paper-map.md, *Data*, on the authors' own instance."""
 
     @pytest.fixture
     def instance(self, shared_data: Path):
@@ -182,7 +182,7 @@ class TestOfficialSample:
 
     def test_projection_is_the_papers_camera(self, instance) -> None:
         error = np.abs(project(instance.joints_m, instance.camera) - instance.joints_px)
-        assert error[:, 1:].max() < 5e-5  # SPEC 1.1: 3.5e-5 px
+        assert error[:, 1:].max() < 5e-5  # docs/paper-map.md: 3.5e-5 px
         assert error[:, 0].max() < 2e-4  # the elbow, 700 px below the image
 
     def test_canonical_is_recomputed_exactly(self, instance) -> None:

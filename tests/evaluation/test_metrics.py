@@ -97,7 +97,7 @@ class TestJointErrors:
         assert np.isnan(m.pck_auc([[NAN]], m.AUC_2D_PX))
 
     def test_threshold_lists(self) -> None:
-        """SPEC 7.2: 100 points, and the 8th-index quirk: 8 * 50/19 mm."""
+        """docs/evaluation.md, *Thresholds*: 100 points, and the 8th-index quirk: 8 * 50/19 mm."""
         assert (len(m.AUC_20_50_MM), m.AUC_20_50_MM[0], m.AUC_20_50_MM[-1]) == (100, 20, 50)
         assert (len(m.AUC_0_50_MM), m.AUC_0_50_MM[0], m.AUC_0_50_MM[-1]) == (100, 0, 50)
         assert (len(m.AUC_ZB_MM), m.AUC_ZB_MM[-1]) == (12, 50)

@@ -83,7 +83,7 @@ def test_perfect_predictions_are_perfect() -> None:
                 assert metric.value == pytest.approx(1.0, abs=0.006), metric.key  # 1e-17 m exceeds the threshold 0
         elif metric.unit in ("mm", "px", "cm", "deg", "hands") and "cartesian" not in metric.key:
             assert metric.value == pytest.approx(0.0, abs=1e-9), metric.key
-    # without the rotation even a perfect canonical pose is off (SPEC 5.4: about 1 cm)
+    # without the rotation even a perfect canonical pose is off (docs/paper-map.md: about 1 cm)
     assert 1 < report["epe_3d_cartesian_mean"].value < 50
     assert report["presence_accuracy"].count == 8
     assert report["epe_2d_mean"].count == 5

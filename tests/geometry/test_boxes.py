@@ -1,4 +1,4 @@
-"""Boxes, crops and warping (SPEC 2)."""
+"""Boxes, crops and warping (docs/paper-map.md, *Perspective crop*)."""
 
 import cv2
 import numpy as np

@@ -1,4 +1,4 @@
-"""The canonical pose and the two alignments (paper eq. 3d_canonical, SPEC 5.1, 7.2)."""
+"""The canonical pose and the two alignments (paper Eq. 1, section 5.1)."""
 
 import numpy as np
 import pytest

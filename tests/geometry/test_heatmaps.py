@@ -1,4 +1,4 @@
-"""Encoding and decoding of heatmaps and energies (SPEC 2, 3, 10.5)."""
+"""Encoding and decoding of heatmaps and energies (docs/paper-map.md, *PoseNet2D and heatmaps*)."""
 
 import math
 
@@ -77,7 +77,7 @@ def test_subpixel_is_exact_without_noise(to, joints, mode):
 
 
 def test_subpixel_with_noise(to, joints):
-    """SPEC 3 measured 0.43 px at noise 0.01."""
+    """docs/paper-map.md: 0.4 px at noise 0.01."""
     noise = 0.01 * np.random.default_rng(2).standard_normal((100, 21, MAP, MAP))
     maps = np.asarray(encode_heatmaps(to(joints), crop_size=CROP)) + noise
     points = np.asarray(decode_subpixel(to(maps))[0]) * PX_PER_CELL
@@ -175,7 +175,7 @@ def test_energy_by_hand(to):
 
 
 def test_threshold_gives_the_box_back(to):
-    """Cut at 0.29, where Otsu's threshold lies for this shape (SPEC 2), and measure the box of what is left."""
+    """Cut at 0.29, where Otsu's threshold lies for this shape, and measure the box of what is left."""
     rng = np.random.default_rng(5)
     low = rng.uniform(5, 150, (60, 2))
     boxes = np.concatenate([low, low + rng.uniform(40, 110, (60, 2))], axis=-1)

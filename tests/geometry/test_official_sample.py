@@ -1,4 +1,5 @@
-"""The authors' published sample, instance 00000 (SPEC 5.4, 10.1): the projection is exact up to its float32 labels."""
+"""The authors' published sample, instance 00000 (docs/paper-map.md, *Exactness*): exact up to
+its float32 labels."""
 
 from dataclasses import dataclass
 
@@ -54,7 +55,7 @@ def test_global_is_recovered(to, sample, method):
 
 
 def test_worked_example(sample):
-    """The table of SPEC 5.4, every number to the digits printed there."""
+    """The table of docs/paper-map.md, *Exactness*, every number to the digits printed there."""
     pose = project_global(sample.canonical, sample.joints_px, CAMERA, HAND_LENGTH_M, method="keybone")
     np.testing.assert_allclose(np.degrees(pose.theta), [-2.5139, -2.9669], atol=5e-5)
     np.testing.assert_allclose(np.degrees(pose.phi), [16.4926, 15.5146], atol=5e-5)
@@ -76,12 +77,12 @@ def test_worked_example_with_the_printed_equation(sample):
 def test_cartesian_alignment_keeps_an_error(sample):
     aligned = cartesian_alignment(sample.canonical, HAND_LENGTH_M, sample.joints_m)
     error_cm = CM * np.linalg.norm(aligned - sample.joints_m, axis=-1)
-    np.testing.assert_allclose(error_cm.mean(axis=-1), [0.94, 0.99], atol=6e-3)  # SPEC rounds 0.985 up
+    np.testing.assert_allclose(error_cm.mean(axis=-1), [0.94, 0.99], atol=6e-3)  # the second is 0.985
     np.testing.assert_allclose(error_cm.max(axis=-1), [2.68, 2.71], atol=5e-3)
 
 
 def test_intrinsics_fit(sample):
-    """The camera of SPEC 1.1 reprojects the labels to 1e-4 px: focal length, principal point, corner convention."""
+    """The layout's own camera reprojects the labels to 1e-4 px: focal length, principal point, corner convention."""
     assert np.abs(project(sample.joints_m, CAMERA) - sample.joints_px).max() < 1e-4
 
 

@@ -1,4 +1,4 @@
-"""The global projection is exact for exact input, everywhere, for all methods (SPEC 5, 10.2 to 10.4)."""
+"""The global projection is exact for exact input, everywhere, for all methods (paper section 4.4)."""
 
 import math
 
@@ -45,7 +45,7 @@ def noisy():
 
 
 def paper_by_hand(canonical, joints_px, camera, length):
-    """SPEC 5.3 with plain floats, in the paper's axis order (row, column, depth), one hand at a time."""
+    """Paper Eq. 3 to 6 with plain floats, in the paper's axis order (row, column, depth), one hand at a time."""
     q = {
         j: ((joints_px[j][1] - camera.cy) / camera.fy, (joints_px[j][0] - camera.cx) / camera.fx, 1.0)
         for j in (0, 9, 17)
@@ -120,7 +120,7 @@ def test_all_joints_is_least_squares(noisy):
 
 
 def test_equal_bones_choose_the_little_finger():
-    """Strictly larger: at equal 2D distance the wrist does not win (SPEC 5.3)."""
+    """Strictly larger: at equal 2D distance the wrist does not win (docs/paper-map.md)."""
     joints_m, joints_px, length = random_hands(1, CENTRED_CAMERA, np.random.default_rng(15))
     joints_px = joints_px[0] * 0
     joints_px[[WRIST, LITTLE_MCP, ROOT]] = [[240, 145], [250, 135], [240, 135]]
@@ -139,7 +139,7 @@ def test_hand_length_is_the_wrists_for_either_bone(scene):
 
 
 def test_all_joints_bears_noise_better(noisy):
-    """SPEC 5.5: the median range error falls by about a third."""
+    """docs/paper-map.md, *All joints*: the median range error falls by about a third."""
     joints_m, joints_px, length, canonical = noisy
     radius = np.linalg.norm(joints_m[:, ROOT], axis=-1)
     error = {
@@ -332,7 +332,7 @@ def test_consistent_pixels_of_exact_input_are_the_input(to, scene):
 
 @pytest.mark.parametrize("camera", [CENTRED_CAMERA, FISHY_CAMERA], ids=["pinhole", "lens"])
 def test_key_bone_on_consistent_pixels_returns_the_same_range(to, camera):
-    """SPEC 4: so the paper's formula on `consistent` p and our all-joints method are one and the same."""
+    """So the paper's formula on `consistent` p and our all-joints method are one and the same."""
     rng = np.random.default_rng(19)
     joints_m, _, length = random_hands(400, camera, rng)
     canonical = (

@@ -1,4 +1,4 @@
-"""Input the projection must refuse: no number is invented, no warning given, no neighbour disturbed (SPEC 5.5)."""
+"""Input the projection must refuse: no number is invented, no warning given, no neighbour disturbed."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Laws of the two centring angles (SPEC 5.1, 5.2)."""
+"""Laws of the two centring angles (docs/conventions.md; docs/paper-map.md, *The printed angle*)."""
 
 import math
 
@@ -48,7 +48,7 @@ def test_theta_turns_first():
     ("offset_px", "expected_deg"), [((16, 0), 0.0), ((0, 16), 0.0), ((180, 60), 1.4), ((240, 135), 5.9)]
 )
 def test_printed_angles_miss_off_the_axes(offset_px, expected_deg):
-    """The error table of SPEC 5.2: direction error of the paper's equation in its own 480x270 camera."""
+    """The table of docs/paper-map.md, *The printed angle*: direction error of paper Eq. 3 in its own camera."""
     camera = PinholeCamera.ego3dhands()
     ray = unproject(np.array([camera.cx + offset_px[0], camera.cy + offset_px[1]]), camera)
     looked_at = rotation_from_angles(*paper_angles(ray))[2]  # third row: the centred camera's z axis

@@ -62,7 +62,7 @@ def test_otsu_is_the_maximum_of_the_variance_between_classes():
 
 
 def test_otsu_of_the_target_blob_gives_the_box_back():
-    """SPEC 2: the threshold of the Gaussian that fills a box is 0.29, the cut one's box overlaps it by 0.96 or more."""
+    """The threshold of the Gaussian that fills a box is 0.29, the cut one's box overlaps it by 0.96 or more."""
     size = (288, 512)
     rng = np.random.default_rng(0)
     for _ in range(30):

@@ -320,7 +320,7 @@ def test_a_hand_outside_the_picture_keeps_no_other_from_being_looked_at_again():
 
 
 def test_mirrored_picture_gives_the_mirrored_result_with_hands_swapped():
-    """Flip the picture: left becomes right, x changes sign, everything else stays (SPEC 10.3)."""
+    """Flip the picture: left becomes right, x changes sign, everything else stays."""
     sample = drawn_hands(6)
     width = sample.image.shape[1]
     assert sample.labels is not None

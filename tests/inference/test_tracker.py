@@ -149,12 +149,13 @@ CLOSED_FORM = {
     3: lambda n: 8 * (2 * n**3 - 3 * n**2 + 7 * n - 3) / (n * (n + 1) * (n + 2) * (n + 3)),
 }
 """Variance of the fit at the newest of n evenly spaced points."""
-SPEC_6 = {1: (0.77, 0.59, 0.49, 0.43), 2: (0.94, 0.79, 0.68, 0.61), 3: (0.99, 0.91, 0.82, 0.75)}
+PRINTED = {1: (0.77, 0.59, 0.49, 0.43), 2: (0.94, 0.79, 0.68, 0.61), 3: (0.99, 0.91, 0.82, 0.75)}
+"""The table of docs/paper-map.md, *Smoothing*."""
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3])
 def test_noise_factors_are_those_of_theory(degree):
-    for n, printed in zip((5, 10, 15, 20), SPEC_6[degree], strict=True):
+    for n, printed in zip((5, 10, 15, 20), PRINTED[degree], strict=True):
         factor = np.linalg.norm(polynomial_weights(np.arange(n), degree, n - 1))
         assert factor == pytest.approx(math.sqrt(CLOSED_FORM[degree](n)), abs=1e-12)
         assert factor == pytest.approx(printed, abs=0.006)

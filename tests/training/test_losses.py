@@ -146,7 +146,7 @@ def test_bone_loss_ignores_direction_and_needs_both_ends():
 @pytest.mark.parametrize("side", [LEFT, RIGHT])
 @pytest.mark.parametrize("kind", ["square", "perspective"])
 def test_projected_true_joints_are_the_canonical_xy(side, kind):
-    """SPEC 4: with ground-truth p, pi(p) equals the ground truth's x and y exactly."""
+    """Paper Eq. 2: with ground-truth p, pi(p) equals the ground truth's x and y exactly."""
     for seed in range(5):
         sample = make_sample(np.random.default_rng(seed))
         target = pose_target(sample, side, 128, CropConfig(kind=kind))

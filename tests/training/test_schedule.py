@@ -61,7 +61,7 @@ def test_average_of_a_constant_is_the_constant():
     [("hand_seg_net", 30000, 0.0), ("pose_net_2d", 15000, 0.0), ("pose_net_3d", 15000, 5e-4)],
 )
 def test_the_paper_recipe(stage, iterations, decay):
-    """SPEC 9, number by number."""
+    """The paper's supplement, number by number."""
     config = recipe("paper", stage)
     assert (config.iterations, config.batch_images, config.max_minutes) == (iterations, 4, 0)
     optim = config.optim

@@ -1,7 +1,7 @@
 """Reader of the Ego3DHands layout, static and dynamic, for the authors' data and for ours alike.
 
-Source: SPEC 1.1 (files) and 1.2 (folders). The names of the published folders are undocumented, so any folder that
-contains `location_2d.npy` counts as an instance, wherever it lies below the root.
+Source: docs/dataset-format.md (files), docs/datasets.md (folders). The names of the published folders are undocumented,
+so any folder that contains `location_2d.npy` counts as an instance, wherever it lies below the root.
 """
 
 from __future__ import annotations
@@ -145,7 +145,7 @@ class Ego3DHands:
         """Frames of every sequence of a dynamic set: the parent folder below the root -> indices, in order of time.
 
         In a static set the only "sequence" is the folder of all instances ("." if it is the root). Frame order is the
-        natural order of the folders' names (SPEC 1.2).
+        natural order of the folders' names (docs/datasets.md).
         """
         found: dict[str, list[int]] = {}
         for index, path in enumerate(self.paths):

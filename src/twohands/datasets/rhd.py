@@ -8,7 +8,7 @@ Expected below the root, as published (docs/datasets.md):
 
 and the same with `training`. Both hands are labelled in every picture, whether they are seen or not.
 
-Source: SPEC 7.5, the data set's README.
+Source: the data set's README; docs/datasets.md.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ def hand_pixels(mask: np.ndarray) -> np.ndarray:
 
 
 def evaluated_hand(mask: np.ndarray) -> int:
-    """The hand that the field evaluates: LEFT if it has strictly more pixels in the mask, else RIGHT (SPEC 7.5)."""
+    """The hand that the field evaluates (docs/datasets.md): LEFT if it has strictly more pixels in the mask."""
     left, right = hand_pixels(mask)
     return LEFT if left > right else RIGHT
 

@@ -8,7 +8,7 @@ Expected below the root, as published (docs/datasets.md):
 and the same for B1..B6 x {Counting, Random}. Only the left picture of the stereo pair is read: the labels are already
 in its frame. Joint 0 of STB is the palm's centre, not the wrist.
 
-Source: SPEC 7.4, the data set's README.
+Source: the data set's README; docs/datasets.md.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ class STB:
 
 
 def left_camera() -> PinholeCamera:
-    """The left camera of STB's stereo pair. The authors of the paper used another, less exact one (SPEC 7.4)."""
+    """The left camera of STB's stereo pair. The paper's authors used another, less exact one (docs/datasets.md)."""
     return camera_of(_FOCAL_PX, _PRINCIPAL_POINT_PX, (640, 480), "STB")
 
 

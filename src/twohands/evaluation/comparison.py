@@ -23,12 +23,12 @@ from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
 from twohands.types import HandSample
 
 REFERENCE_WIDTH_PX: Final = 480
-"""2D errors are multiplied by 480 / image width (SPEC 7.2, "at 270x480")."""
+"""2D errors are multiplied by 480 / image width (paper, figure 7: "using image size of (270x480)")."""
 
 
 @dataclass(frozen=True, slots=True)
 class Protocol:
-    """What counts, where data sets and published protocols differ (SPEC 7).
+    """What counts, where data sets and published protocols differ (docs/evaluation.md, *Rules*).
 
     Raises:
         InputError: fps is not above 0, or not finite.

@@ -23,14 +23,14 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 AUC_2D_PX: Final = np.linspace(0.0, 30.0, 100)
-"""Thresholds of the 2D curve, pixels at 480x270 (SPEC 7.2)."""
+"""Thresholds of the 2D curve, pixels at 480x270 (docs/evaluation.md, *Thresholds*)."""
 AUC_20_50_MM: Final = np.linspace(20.0, 50.0, 100)
 AUC_0_50_MM: Final = np.linspace(0.0, 50.0, 100)
 AUC_ZB_MM: Final = np.linspace(0.0, 50.0, 20)[8:]
-"""What Zimmermann and Brox's evaluation code calls "20-50 mm": it really starts at 21.05 mm (SPEC 7.2)."""
+"""What Zimmermann and Brox's code calls "20-50 mm": it really starts at 21.05 mm (docs/evaluation.md, *Thresholds*)."""
 AUC_ANGLE_DEG: Final = np.linspace(0.0, 10.0, 101)
 AUC_RANGE_CM: Final = np.linspace(0.0, 20.0, 101)
-"""The paper's own limits of the spherical curves cannot be recovered (SPEC 7.3)."""
+"""The paper's own limits of the spherical curves cannot be recovered (docs/evaluation.md, *Thresholds*)."""
 
 
 # Presence and segmentation
@@ -43,7 +43,7 @@ def presence_accuracy(predicted: ArrayLike, truth: ArrayLike) -> float:
         predicted, truth: (N, 2) bool.
 
     Returns:
-        0..1. Source: SPEC 7.1, "averaged over 2N hands".
+        0..1, over all 2N hands. Source: paper section 5.2, "hand detection accuracy".
     """
     return _mean(_bools(predicted) == _bools(truth))
 
@@ -59,7 +59,7 @@ def box_correct(iou: ArrayLike, predicted: ArrayLike, truth: ArrayLike, threshol
         threshold: the IoU must be larger than this.
 
     Returns:
-        (...) bool. Source: SPEC 7.1.
+        (...) bool. Source: paper section 5.2, "bounding box detection accuracy".
     """
     predicted, truth = _bools(predicted), _bools(truth)
     overlapping = np.asarray(iou) > threshold  # False for NaN
@@ -96,7 +96,7 @@ def mean_iou(intersections: ArrayLike, unions: ArrayLike) -> float:
         intersections, unions: (N, 3) pixels, from `class_overlaps`.
 
     Returns:
-        0..1. Source: SPEC 7.1.
+        0..1. Source: paper section 5.2; the averaging is that of docs/evaluation.md.
     """
     return _mean(_ratio(intersections, unions)[..., 1:])
 
@@ -142,7 +142,7 @@ def epe_mean(errors: ArrayLike) -> float:
         errors: (M, J), see the module's docstring; missed hands are left out.
 
     Returns:
-        In the unit of the input. Source: SPEC 7.2.
+        In the unit of the input. Source: Zimmermann and Brox's evaluation code, which the paper follows (section 5.1).
     """
     return _mean_over_joints(errors, np.mean)
 
@@ -154,7 +154,7 @@ def epe_median(errors: ArrayLike) -> float:
         errors: (M, J), see the module's docstring; missed hands are left out.
 
     Returns:
-        In the unit of the input. Source: SPEC 7.2.
+        In the unit of the input. Source: Zimmermann and Brox's evaluation code, which the paper follows (section 5.1).
     """
     return _mean_over_joints(errors, np.median)
 
@@ -167,7 +167,7 @@ def pck_curve(errors: ArrayLike, thresholds: ArrayLike) -> FloatArray:
         thresholds: (T,) in the unit of the errors.
 
     Returns:
-        (T,) 0..1; NaN without any known joint. Source: SPEC 7.2.
+        (T,) 0..1; NaN without any known joint. Source: as `epe_mean`.
     """
     errors = _floats(errors)
     known = ~np.isnan(errors)  # (M, J)
@@ -187,7 +187,7 @@ def pck_auc(errors: ArrayLike, thresholds: ArrayLike) -> float:
         thresholds: (T,) increasing.
 
     Returns:
-        0..1. Source: SPEC 7.2.
+        0..1. Source: as `epe_mean`; ranges in docs/evaluation.md, *Thresholds*.
     """
     thresholds = _floats(thresholds)
     curve = pck_curve(errors, thresholds)
@@ -252,7 +252,7 @@ def bone_length_errors(predicted: ArrayLike, truth: ArrayLike, found: ArrayLike)
 
     Returns:
         (M, 20) in the unit of the input; NaN where the truth is unknown, infinite where the hand was missed.
-        Source: SPEC 8, "mean bone length error".
+        Source: paper section 5.2, "average bone length error".
     """
     parents, children = [parent for parent, _ in BONES], [child for _, child in BONES]
     lengths = [
@@ -332,7 +332,7 @@ def spherical_coordinates(points: ArrayLike) -> FloatArray:
 
     Returns:
         (..., 3) theta and phi of `geometry.rotation.centring_angles` in degrees, radius in the unit of the input.
-        Source: SPEC 5.1 and 7.3.
+        Source: paper section 5.2 and Eq. 3; docs/conventions.md.
     """
     points = _floats(points)
     theta, phi = centring_angles(points)
@@ -349,7 +349,7 @@ def spherical_errors(predicted_roots: ArrayLike, true_roots: ArrayLike, found: A
     Returns:
         (M, 5): |theta error| deg, |phi error| deg, great-circle angle between the directions deg, |radius error| in
         the unit of the input, |radius error| / true radius. NaN where the truth is unknown, infinite where missed.
-        Source: SPEC 7.3.
+        Source: docs/evaluation.md, *Rules*; ours.
     """
     predicted_roots, true_roots = _floats(predicted_roots), _floats(true_roots)
     predicted, truth = spherical_coordinates(predicted_roots), spherical_coordinates(true_roots)
@@ -380,8 +380,8 @@ def acceleration_errors(predicted: ArrayLike, truth: ArrayLike, fps: float) -> F
 
     Raises:
         ValueError: fps is not above 0.
-        Source: acceleration error as usual in video pose estimation; the split is ours (SPEC 6: only the range is
-        smoothed).
+        Source: acceleration error as usual in video pose estimation; the split is ours, because
+        only the range is smoothed.
     """
     if not fps > 0:
         raise ValueError(f"frames a second must be above 0, got {fps}")

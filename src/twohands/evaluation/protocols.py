@@ -1,6 +1,7 @@
 """Which metrics are computed from predictions and labels, and over what.
 
-Source: SPEC 7. Hands are scored against labels in metres; 2D errors are brought to the paper's image width.
+Source: paper section 5; docs/evaluation.md. Hands are scored against labels in metres; 2D errors are brought to the
+paper's image width.
 
 Names of averages: "EPE mean" and "EPE median" are Zimmermann and Brox's, the mean over joints of each joint's own mean
 or median, left and right averaged; "pooled" is over all joints of all hands at once. Everything runs over one data set:
@@ -114,7 +115,7 @@ def _joints_2d_metrics(c: Comparison) -> list[Metric]:
 
 
 def _joints_3d_metrics(c: Comparison) -> list[Metric]:
-    """Of the canonical pose, scaled by the true hand length (SPEC 7.2)."""
+    """Of the canonical pose, scaled by the true hand length (paper section 5.1)."""
     found: list[Metric] = []
     for key, name, errors in (
         ("spherical", "spherical alignment", c.spherical_mm),

@@ -1,4 +1,4 @@
-"""Numbers that the paper prints, with what must be known before ours are set beside them. Source: SPEC 8."""
+"""Numbers that the paper prints, with what must be known before ours are set beside them. Source: paper section 5."""
 
 from __future__ import annotations
 

@@ -96,7 +96,7 @@ def square_crop(box_px: Array, *, size: int, side: int, margin: float = 1.5) -> 
     Raises:
         InputError: the box is not finite or has no extent.
 
-    Source: SPEC 2 (crop); the paper is silent on the margin.
+    Source: paper section 4.2; it is silent on shape and margin.
     """
     u0, v0, u1, v1 = _checked_box(box_px)
     scale = margin * max(u1 - u0, v1 - v0) / size
@@ -128,7 +128,7 @@ def perspective_crop(
     Raises:
         InputError: the box is not finite, has no extent, or reaches 90 degrees away from its own centre.
 
-    Source: SPEC 2 (crop), option of ours.
+    Source: ours; docs/paper-map.md, *Perspective crop*.
     """
     box = _checked_box(box_px)
     intrinsics = intrinsic_matrix(camera)

@@ -27,7 +27,7 @@ def unproject(points_px: Array, camera: PinholeCamera) -> Array:
         (..., 3) camera frame, scaled to z = 1. NaN where the lens model maps no ray to that pixel.
 
     Source: x = (u - cx) / fx, y = (v - cy) / fy; the paper has one focal length and a centred principal point
-    (SPEC 5.3, "Generalise to K with any principal point").
+    (the paper has its principal point in the middle).
     """
     xp, points_px = float_arrays(points_px)
     x = (points_px[..., 0] - camera.cx) / camera.fx

@@ -44,7 +44,7 @@ def canonical_from_camera(joints_m: Array) -> Canonical:
         The canonical pose. Not valid: a hand with a joint that is not finite, or whose root lies in the pinhole or on
         its wrist (so an absent hand, whether written as NaN or as zeros).
 
-    Source: paper eq. "3d_canonical", SPEC 5.1.
+    Source: paper Eq. 1; docs/conventions.md.
     """
     xp, joints_m = float_arrays(joints_m)
     finite = xp.all(xp.isfinite(joints_m), axis=(-2, -1))
@@ -97,7 +97,7 @@ def camera_from_canonical(
     Returns:
         joints_m: (..., 21, 3) camera frame, metres; NaN wherever an input is NaN.
 
-    Source: paper section 4.4, SPEC 5.3: w_glob = R^T (L w_can + (0, 0, r)).
+    Source: paper section 4.4: w_glob = R^T (L w_can + (0, 0, r)).
     """
     xp, canonical, length, radius, theta, phi = float_arrays(canonical, hand_length_m, radius_m, theta, phi)
     zero = xp.zeros_like(radius)
@@ -118,7 +118,7 @@ def spherical_alignment(canonical: Array, hand_length_m: Array | float, joints_m
     Returns:
         joints_m: (..., 21, 3) camera frame, metres; NaN where the true root is unknown or lies in the pinhole.
 
-    Source: paper section 5.1 ("spherical alignment"), SPEC 7.2.
+    Source: paper section 5.1 ("spherical alignment").
     """
     xp, canonical, joints_m_gt = float_arrays(canonical, joints_m_gt)
     root = joints_m_gt[..., ROOT, :]
@@ -134,7 +134,7 @@ def cartesian_alignment(canonical: Array, hand_length_m: Array | float, joints_m
 
     Args, Returns: as `spherical_alignment`.
 
-    Source: paper section 5.1 ("Cartesian alignment"), SPEC 7.2. Even a perfect canonical pose keeps an error.
+    Source: paper section 5.1 ("Cartesian alignment"). Even a perfect canonical pose keeps an error.
     """
     xp, canonical, length, joints_m_gt = float_arrays(canonical, hand_length_m, joints_m_gt)
     root = joints_m_gt[..., ROOT, :]

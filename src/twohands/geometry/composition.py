@@ -38,7 +38,7 @@ def compose_hand_input(
         (size, size, 3) uint8: crop * mask(this hand) + 0.5 * crop * mask(other hand) + `background` * the rest, rounded
         down; black outside the image.
 
-    Source: paper section 4.2, SPEC 3 (input composition).
+    Source: paper section 4.2 ("reducing the brightness of the secondary hand by a factor of 0.5").
     """
     mask_per_image = np.array([masks.shape[1] / image.shape[1], masks.shape[0] / image.shape[0], 1.0])
     crop = warp_image(image, image_from_crop, size)

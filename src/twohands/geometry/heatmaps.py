@@ -13,14 +13,14 @@ from twohands.geometry._arrays import float_arrays
 from twohands.types import Array
 
 CUTOFF = 0.0099
-"""Heatmap values below this are set to 0, as in the code the authors' networks descend from (SPEC 3)."""
+"""Heatmap values below this are set to 0, as in the code the authors' networks descend from (docs/paper-map.md)."""
 
 WINDOW_RADIUS = 6
 """Half side, in map cells, of the window round the peak: three to four times the target's sigma of 1.5 to 2 cells."""
 
 ENERGY_SPREAD = 0.32
 """Standard deviation of an energy blob as a share of the box's side: the value for which Otsu's threshold (0.29) gives
-the box back (SPEC 2)."""
+the box back (docs/paper-map.md, *HandSegNet and detection*)."""
 
 
 def encode_heatmaps(
@@ -49,8 +49,8 @@ def encode_heatmaps(
     Returns:
         (..., N, map_size, map_size), 0..1, axes (row, column); all 0 for unknown joints.
 
-    Source: SPEC 3. The paper only says "stronger heatmap energy for closer joints"; both formulas are ours. Unlike the
-    code the paper's descends from, the centre keeps its sub-cell place.
+    Source: paper section 4.2. It only says "stronger heatmap energy for closer joints"; both formulas are ours. Unlike
+    the code the paper's descends from, the centre keeps its sub-cell place.
     """
     xp, joints = float_arrays(joints_crop_px)
     known = xp.all(xp.isfinite(joints), axis=-1)  # (..., N)
@@ -100,7 +100,7 @@ def decode_subpixel(maps: Array) -> tuple[Array, Array]:
         points: (..., 2) map coordinates (u, v).
         peaks: (...) value of the highest cell.
 
-    Source: SPEC 3 (2D read-out), ours: the paper is silent, and one pixel costs 0.9 cm of range.
+    Source: ours; the paper is silent, and one pixel costs 0.7 cm of range (docs/paper-map.md, *All joints*).
     """
     xp, maps = float_arrays(maps)
     row, column, peaks = _peak(xp, maps)
@@ -171,7 +171,7 @@ def encode_energy(box_px: Array, present: Array, height: int, width: int) -> Arr
     Returns:
         (..., height, width), 0..1. Cutting it at Otsu's threshold gives the box back.
 
-    Source: SPEC 2 (energy target), ours: the paper has no formula.
+    Source: ours; the paper has no formula (docs/paper-map.md, *HandSegNet and detection*).
     """
     xp, box = float_arrays(box_px)
     usable = xp.astype(present, xp.bool) & xp.all(xp.isfinite(box), axis=-1)

@@ -8,7 +8,7 @@ from twohands.skeleton import PART_NAMES
 
 
 def hand_classes(labels: np.ndarray) -> np.ndarray:
-    """Whose hand a pixel shows; arms belong to their hand (SPEC 2).
+    """Whose hand a pixel shows; arms belong to their hand (docs/conventions.md).
 
     Args:
         labels: (...) uint8 part labels, 0..14.

@@ -28,7 +28,7 @@ Method = Literal["fitted", "all-joints", "keybone"]
 Angles = Literal["exact", "paper"]
 
 _SHORTEST_PX = 1e-6
-"""2D distance from the root, in pixels, up to which a joint says nothing about the range (SPEC 5.5)."""
+"""2D distance from the root, in pixels, up to which a joint says nothing about the range (docs/paper-map.md)."""
 
 _SHORTEST_ACROSS = 1e-6
 """The same in 3D: distance from the root across its line of sight, canonical units."""
@@ -117,7 +117,7 @@ def project_global(
     Raises:
         InputError: an unknown method or kind of angles, weights for the key bone, or a fit with the paper's angles.
 
-    Source: paper section 4.4, SPEC 5.3 (key bone) and SPEC 4 (all joints).
+    Source: paper section 4.4 (key bone); docs/paper-map.md, *All joints* and *The fit*.
     """
     if method not in get_args(Method) or angles not in get_args(Angles):
         raise InputError(
@@ -238,7 +238,7 @@ def consistent_joints_px(
     Returns:
         (..., 21, 2) pixels of the camera's image, lens distortion included; NaN where the placement is not valid.
 
-    Source: paper section 4.3 ("we replace p"), SPEC 4 (mode `consistent`).
+    Source: paper section 4.3 ("we replace p"); docs/paper-map.md, *All joints*.
     """
     pose = project_global(canonical, joints_px, camera, hand_length_m, weights=weights)
     return project(pose.joints_m, camera, distort=True)
@@ -256,7 +256,7 @@ def canonical_xy_from_rays(rays: Array, distance: Array, z: Array) -> Array:
         (..., 21, 2) canonical x and y, m_j (r / L + z_j); for the true 2D joints exactly those of the canonical pose.
         NaN for joints whose ray is unknown or not in front of the centred camera.
 
-    Source: paper eq. "3d_loss", SPEC 4 (L_proj). One scale for the whole hand (weak perspective) would be wrong by a
+    Source: paper Eq. 2 (L_proj). One scale for the whole hand (weak perspective) would be wrong by a
     third: r / L is about 3 and z reaches 1.
     """
     xp, rays, distance, z = float_arrays(rays, distance, z)
@@ -299,7 +299,7 @@ def _key_joint(xp: Any, joints_px: Array) -> tuple[Any, Any]:
 
 
 def _keybone_radius(xp: Any, slopes: Array, pose: Array, scale: Array, key_joint: Array) -> Any:
-    """r = z_3d - L z_s with z_3d = z_2d h_3d / h_2d: similar triangles in the plane of the key bone (SPEC 5.3).
+    """r = z_3d - L z_s with z_3d = z_2d h_3d / h_2d: similar triangles in the plane of the key bone (paper Eq. 4 to 6).
 
     A slope is (h_2d / z_2d) long, so dividing by its length is the paper's z_2d / h_2d.
     """
@@ -311,7 +311,7 @@ def _keybone_radius(xp: Any, slopes: Array, pose: Array, scale: Array, key_joint
 
 
 def _least_squares_radius(xp: Any, slopes: Array, pose: Array, scale: Array, weight: Array) -> Any:
-    """The r that minimises sum_j w_j |m_j (r + L z_j) - L (x_j, y_j)|^2 (SPEC 4); the root itself has m = 0."""
+    """The r that minimises sum_j w_j |m_j (r + L z_j) - L (x_j, y_j)|^2; the root itself has m = 0."""
     joints = pose * scale[..., None]
     along = xp.sum(slopes * (joints[..., :2] - slopes * joints[..., 2:]), axis=-1)  # (..., 21)
     above = xp.sum(weight * along, axis=-1)

@@ -23,7 +23,7 @@ def centring_angles(point: Array) -> tuple[Array, Array]:
         theta, phi: (...) radians. theta = atan2(y, z), about x, in (-pi, pi]; phi = atan2(x, hypot(y, z)), about y
         and measured after the first rotation, in [-pi/2, pi/2].
 
-    Source: SPEC 5.1, the authors' `global_to_canon`. The printed equation differs, see `paper_angles`.
+    Source: docs/conventions.md; the authors' `global_to_canon`. Paper Eq. 3 differs, see `paper_angles`.
     """
     xp, point = float_arrays(point)
     x, y, z = point[..., 0], point[..., 1], point[..., 2]
@@ -43,7 +43,7 @@ def paper_angles(ray: Array) -> tuple[Array, Array]:
     Returns:
         theta, phi: (...) radians.
 
-    Source: paper section 4.4, eq. "spherical_angles"; error table in SPEC 5.2.
+    Source: paper Eq. 3; table of its errors in docs/paper-map.md, *The printed angle*.
     """
     xp, ray = float_arrays(ray)
     x, y, z = ray[..., 0], ray[..., 1], ray[..., 2]
@@ -62,7 +62,7 @@ def rotation_from_angles(theta: Array, phi: Array) -> Array:
     Returns:
         R_centre_from_cam: (..., 3, 3), orthonormal, determinant 1. Its transpose leads back.
 
-    Source: SPEC 5.1, written for the axis order (x, y, z); the paper's is (row, column, depth).
+    Source: paper Eq. 1; docs/conventions.md. Written for the axis order (x, y, z); the paper's is (row, column, depth).
     """
     xp, theta, phi = float_arrays(theta, phi)
     with np.errstate(invalid="ignore"):  # an infinite angle has no rotation: NaN

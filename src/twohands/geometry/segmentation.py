@@ -1,6 +1,6 @@
 """From HandSegNet's maps to masks, boxes and the decision whether a hand is there.
 
-Source: paper section 4.1; SPEC 2 for what the paper leaves open.
+Source: paper section 4.1; docs/paper-map.md for what the paper leaves open.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Floats = NDArray[np.floating]
 PRESENCE_THRESHOLD = 0.6
 """A hand is absent where its score (`hand_scores`) is below this, unless PoseNet2D has a say (`inference.handedness`).
 
-The paper says "very low activation" of the energy and gives no value (SPEC 2). Chosen on pictures that are neither
+The paper says "very low activation" of the energy and gives no value. Chosen on pictures that are neither
 trained nor tested on: right for 99.5 % of 600 hands of preset paper and 90 % of 400 of preset wild; in photographs
 without hands, 1.7 % of 300 are invented.
 """
@@ -106,7 +106,7 @@ def network_input(images: np.ndarray) -> np.ndarray:
         images: (B, H, W, 3) uint8.
 
     Returns:
-        (B, 3, H, W) float32, (value - 128) / 256; black is -0.5 (SPEC 2).
+        (B, 3, H, W) float32, (value - 128) / 256; black is -0.5 (docs/conventions.md).
     """
     normalised: Floats = (images.astype(np.float32) - 128.0) / 256.0
     return np.ascontiguousarray(np.moveaxis(normalised, 3, 1))
@@ -169,7 +169,7 @@ def energy_box(energy: np.ndarray) -> np.ndarray | None:
     Returns:
         (4,) float64 u0, v0, u1, v1 in map cells ((0, 0) the outer corner), or None where nothing is left.
 
-    Source: paper section 4.1. The opening and the choice of the largest component are ours (SPEC 2): a second blob,
+    Source: paper section 4.1. The opening and the choice of the largest component are ours: a second blob,
     usually the other hand's, would stretch the box over both.
     """
     _, mask = _foreground(energy)

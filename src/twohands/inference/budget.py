@@ -4,7 +4,7 @@ A study runs the pipeline with some stages replaced by labels. Along the chain, 
 the one it is compared with; the difference is what that stage costs. The last step, the global projection, is run twice
 on every study's results: with the paper's key bone, and fitted to all joints.
 
-Source: paper section 5 (isolated results), SPEC 7.2; the budget is ours.
+Source: paper section 5 (isolated results); the budget is ours.
 """
 
 from __future__ import annotations

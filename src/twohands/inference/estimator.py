@@ -23,7 +23,7 @@ from twohands.inference.weights import DEFAULT_PRESET, WeightsCard, preset_folde
 from twohands.types import HandPose, PinholeCamera, TwoHandPose
 
 DEFAULT_HAND_LENGTH_M: Final = 0.10
-"""|wrist - middle knuckle| where none is given: the unit to which the paper scales its data (SPEC 1.1)."""
+"""|wrist - middle knuckle| where none is given: the unit to which the paper scales its data (section 3.1)."""
 
 
 class HandEstimator:

@@ -1,6 +1,6 @@
 """Labels in place of what a stage would estimate: the isolated studies and the error budget.
 
-Source: paper, section 5 ("isolated studies"), SPEC 7.2.
+Source: paper, section 5 ("isolated studies").
 """
 
 from __future__ import annotations

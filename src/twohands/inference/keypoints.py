@@ -164,7 +164,7 @@ def read_joints(maps: np.ndarray, decoder: str) -> tuple[np.ndarray, np.ndarray]
     Returns:
         (..., 21, 2) u, v in map cells, (0, 0) the outer corner, and (..., 21) scores 0..1.
 
-    Source: SPEC 3. The paper does not say how it reads its maps.
+    Source: ours; the paper does not say how it reads its maps (docs/paper-map.md).
     """
     if decoder == "subpixel":
         joints, peaks = codec.decode_subpixel(maps)

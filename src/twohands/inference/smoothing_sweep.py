@@ -3,7 +3,7 @@
 Every setting runs the tracker over every sequence from its first frame on, as it would run live: the result of a frame
 never depends on later ones.
 
-Source: paper section 4.4 (silent on both numbers), SPEC 6.
+Source: paper section 4.4 (silent on both numbers).
 """
 
 from __future__ import annotations

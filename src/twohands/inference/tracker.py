@@ -1,6 +1,6 @@
 """The range of each hand smoothed over video: one queue of recent root radii per hand, polynomial regression.
 
-Source: paper section 4.4 (last paragraph), SPEC 6. Only the radius is smoothed, because it is the noisy part of a
+Source: paper section 4.4 (last paragraph but one). Only the radius is smoothed, because it is the noisy part of a
 camera-space pose: direction and canonical pose are the current frame's, and the hand moves along its line of sight.
 Hands that leave the picture are carried on for a moment (`inference.leaving`, ours). Everything is causal: a result
 never changes when later frames come.
@@ -28,7 +28,7 @@ _MAD_TO_SIGMA = 1.4826
 """Standard deviation of Gaussian noise over its median absolute deviation."""
 
 _FEWEST = 3
-"""Radii below which there is no regression (SPEC 6)."""
+"""Radii below which there is no regression (docs/paper-map.md, *Smoothing*)."""
 
 _SPARE_FOR_SCALE = 3
 """Radii beyond the coefficients of the fit, below which the residuals say nothing about their own scale."""
@@ -129,7 +129,7 @@ def polynomial_value(
     Raises:
         InputError: as `polynomial_weights`.
 
-    Source: paper section 4.4 ("polynomial regression"), SPEC 6.
+    Source: paper section 4.4 ("polynomial regression").
     """
     return polynomial_weights(times, degree, at, fade) @ np.asarray(values, np.float64)
 
@@ -378,7 +378,7 @@ def placed_at_range(hand: HandPose, range_m: float, hand_length_m: float | None)
         A new record with `valid` True and `method` "predicted"; the given one if something needed is unknown or a joint
         would come to lie behind the camera.
 
-    Source: paper section 4.4, SPEC 5.3 and 5.5.
+    Source: paper section 4.4; docs/paper-map.md, *Refused input*.
     """
     if hand.canonical is None or hand.theta_deg is None or hand.phi_deg is None or hand_length_m is None:
         return hand

@@ -105,7 +105,7 @@ class BasicBlock(ResidualBlock):
 class Bottleneck(ResidualBlock):
     """1x1, 3x3, 1x1 convolutions; `planes` channels inside, 4 x `planes` out.
 
-    Source: SPEC 2, the encoder of the ResNet auto-encoder.
+    Source: the encoder of the ResNet auto-encoder (docs/paper-map.md, *HandSegNet and detection*).
     """
 
     expansion = 4
@@ -126,7 +126,7 @@ class Bottleneck(ResidualBlock):
 class DeconvBottleneck(ResidualBlock):
     """Bottleneck whose middle layer is a transposed 3x3 convolution when it doubles the map; 2 x `planes` out.
 
-    Source: SPEC 2, the decoder of the ResNet auto-encoder.
+    Source: the decoder of the ResNet auto-encoder (docs/paper-map.md, *HandSegNet and detection*).
     """
 
     expansion = 2
@@ -158,7 +158,7 @@ def count_blocks(module: nn.Module) -> int:
 
 
 def initialise(module: nn.Module) -> None:
-    """Kaiming initialisation of every convolution and fully connected layer (SPEC 4, 9), zero biases."""
+    """Kaiming initialisation of every convolution and fully connected layer, zero biases."""
     for child in module.modules():
         if isinstance(child, nn.Conv2d | nn.ConvTranspose2d | nn.Linear):
             nn.init.kaiming_normal_(child.weight, nonlinearity="relu")

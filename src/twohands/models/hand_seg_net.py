@@ -1,4 +1,4 @@
-"""HandSegNet: from a picture to hand masks and energies (SPEC 2)."""
+"""HandSegNet: from a picture to hand masks and energies (paper section 4.1)."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class AutoEncoder(nn.Module):
     The last doubling to input size is a plain transposed convolution, not a seventeenth block, so that the count is
     the paper's.
 
-    Source: paper section 4.1, SPEC 2 (channel numbers are ours; the paper gives none).
+    Source: paper section 4.1 (channel numbers are ours; the paper gives none).
     """
 
     def __init__(self, outputs: int, width: float) -> None:

@@ -1,4 +1,4 @@
-"""PoseNet2D: from a crop of one hand to 21 heatmaps (SPEC 3)."""
+"""PoseNet2D: from a crop of one hand to 21 heatmaps (paper section 4.2)."""
 
 from __future__ import annotations
 
@@ -77,9 +77,9 @@ class PoseNet2DConfig:
 class PoseMachine(nn.Module):
     """Convolutional pose machine with batch normalisation, in the 9x9 and the VGG-style form.
 
-    No centre map: a hand crop is always centred, so it would be a constant (SPEC 3).
+    No centre map: a hand crop is always centred, so it would be a constant.
 
-    Source: paper section 4.2, SPEC 3.
+    Source: paper section 4.2; docs/paper-map.md, *PoseNet2D and heatmaps*.
     """
 
     def __init__(self, config: PoseNet2DConfig) -> None:

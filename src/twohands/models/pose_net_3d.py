@@ -1,4 +1,4 @@
-"""PoseNet3D: from 21 heatmaps to the canonical 3D pose (SPEC 4)."""
+"""PoseNet3D: from 21 heatmaps to the canonical 3D pose (paper section 4.3)."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class PoseNet3DConfig:
 class PoseNet3D(nn.Module):
     """ResNet-18 on the heatmaps: 8 residual blocks, 2 fully connected layers, then the output layer.
 
-    Source: paper section 4.3, SPEC 4.
+    Source: paper section 4.3; docs/paper-map.md, *PoseNet3D*.
     """
 
     def __init__(self, config: PoseNet3DConfig) -> None:

@@ -52,7 +52,7 @@ class NetworkConfigs:
 
 
 PAPER = NetworkConfigs()
-"""The paper's networks (SPEC 2, 3, 4)."""
+"""The paper's networks (sections 4.1 to 4.3)."""
 
 SLIM = NetworkConfigs(
     HandSegNetConfig("efficientnet-lite0", height=192, width_px=352),

@@ -202,7 +202,7 @@ class TrainConfig:
     """Pictures per step, over all processes; the pose stages take every usable hand in them, up to twice as many
     crops."""
     truth_maps: int = 0
-    """Stage pose_net_3d: half of the hands see ideal heatmaps during the first so many iterations (SPEC 9)."""
+    """Stage pose_net_3d: half of the hands see ideal heatmaps during the first so many iterations (ours)."""
     seed: int = 0
     """Seed of the initial weights, the order of the pictures and all random changes."""
     pretrained: bool = True
@@ -319,9 +319,9 @@ def _setting(config: TrainConfig, assignment: str) -> tuple[str, Any]:
 def recipe(name: RecipeName, stage: StageName) -> TrainConfig:
     """The run of one stage under one recipe, with no data source yet.
 
-    "paper": SPEC 9. "ours": slim networks and a loss that learns fast, random changes that real pictures
-    know, imperfect masks, averaged weights; PoseNet3D learns on PoseNet2D's own maps while PoseNet2D keeps learning,
-    because the depth cue travels in the maps' spread.
+    "paper": that of its supplement. "ours": slim networks and a loss that learns fast, random changes that real
+    pictures know, imperfect masks, averaged weights; PoseNet3D learns on PoseNet2D's own maps while PoseNet2D keeps
+    learning, because the depth cue travels in the maps' spread.
 
     Raises:
         InputError: unknown recipe or stage.

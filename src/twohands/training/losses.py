@@ -83,7 +83,7 @@ def segmentation_loss(logits: Tensor, classes: Tensor, weight: Tensor | None = N
         classes: (B, H, W) int64.
         weight: (B, H, W); None lets all pixels count alike.
 
-    Source: SPEC 2, 9; the weights are ours.
+    Source: paper section 4.1 and supplement; the weights are ours.
     """
     if weight is None:
         return functional.cross_entropy(logits.float(), classes)
@@ -101,7 +101,7 @@ def energy_loss(
     Args:
         logits: (B, 2, H, W).
         energy: (B, 2, H, W), 0..1.
-        kind: "mse", the paper's (SPEC 2, 9). "cross-entropy", ours: binary cross-entropy has the same minimum, but no
+        kind: "mse", the paper's (supplement). "cross-entropy", ours: binary cross-entropy has the same minimum, but no
             vanishing gradient where the sigmoid is saturated; with the squared error the maps of small hands can stay
             near 0 for thousands of iterations.
         weight: (B, 2, H, W); None lets all cells count alike.
@@ -134,7 +134,7 @@ def heatmap_mse(
         target: (B, 21, M, M).
         weight: (B, 21).
         reduction: "mean" over cells and counted joints; "sum_map" multiplies it by M * M * 21, the scale on which the
-            paper's runs with plain SGD and learning rate 1e-6 make sense (SPEC 9).
+            paper's runs with plain SGD and learning rate 1e-6 (supplement) make sense.
     """
     per_stage = [weighted_mean((maps.float() - target).square().mean(dim=(2, 3)), weight) for maps in outputs]
     loss = torch.stack(per_stage).sum()
@@ -167,7 +167,7 @@ def joint_l1(predicted: Tensor, truth: Tensor, weight: Tensor) -> Tensor:
 def joint_loss(predicted: Tensor, truth: Tensor, weight: Tensor, norm: Literal["mse", "l1"] = "mse") -> Tensor:
     """L_j: mean over counted joints and 3 axes of (w_hat - w)^2 ("mse", the paper) or |w_hat - w| ("l1", ours).
 
-    predicted and truth (B, 21, 3), canonical units. Source: paper Eq. 2, SPEC 4.
+    predicted and truth (B, 21, 3), canonical units. Source: paper Eq. 2.
     """
     difference = predicted - truth
     values = difference.square() if norm == "mse" else difference.abs()
@@ -182,7 +182,7 @@ def bone_lengths(joints: Tensor) -> Tensor:
 def bone_loss(predicted: Tensor, truth: Tensor, weight: Tensor, norm: Literal["mse", "l1"] = "mse") -> Tensor:
     """L_bone: mean over the 20 bones of the squared (or absolute) length error; a bone counts if both ends do.
 
-    predicted and truth (B, 21, 3), canonical units. Source: paper Eq. 2, SPEC 4.
+    predicted and truth (B, 21, 3), canonical units. Source: paper Eq. 2.
     """
     difference = bone_lengths(predicted) - bone_lengths(truth)
     values = difference.square() if norm == "mse" else difference.abs()
@@ -208,7 +208,7 @@ def projected_joints(joints_px: Tensor, rays_from_crop: Tensor, distance: Tensor
     Returns:
         (B, 21, 2) canonical units, left-like hand; NaN where a joint's ray does not point forward.
 
-    Source: SPEC 4 (L_proj).
+    Source: paper Eq. 2 (L_proj); docs/paper-map.md, *Canonical pose and alignment*.
     """
     with torch.autocast(joints_px.device.type, enabled=False):  # 8 bits of a pixel are not enough
         return canonical_xy_from_rays(_rays(joints_px, rays_from_crop), distance, canonical_z)
@@ -224,7 +224,7 @@ def projection_loss(
         implied_xy: (B, 21, 2) from `projected_joints`; no gradient flows into it.
         weight: (B, 21).
 
-    Source: paper Eq. 2, SPEC 4.
+    Source: paper Eq. 2.
     """
     return joint_loss(predicted[..., :2], implied_xy.detach(), weight, norm)
 

@@ -39,7 +39,7 @@ class CropConfig:
     kind: Literal["square", "perspective"] = "square"
     """square: the paper's axis-aligned crop; perspective: what a camera that looks at the box's centre would see."""
     margin: float = 1.5
-    """Crop side over the larger side of the hand's box (SPEC 2)."""
+    """Crop side over the larger side of the hand's box (docs/paper-map.md)."""
     shift: float = 0.0
     """Training: largest shift of the box centre, as a fraction of the box's larger side."""
     smallest: float = 1.0
@@ -162,7 +162,7 @@ def pose_target(
     Returns:
         The target, or None if the hand is absent or too little of it can be seen.
 
-    Source: SPEC 3 (input composition, mirroring), SPEC 4 (targets).
+    Source: paper section 4.2 (input, mirroring), section 4.3 (targets).
     """
     box = hand_box(sample, side)
     if box is None:

@@ -24,8 +24,8 @@ def learning_rate(config: OptimConfig, iteration: int, done: float) -> float:
     """Learning rate of one iteration.
 
     Args:
-        config: "step": halved every `halve_every` iterations (SPEC 9). "cosine": linear warm-up, then half a cosine
-            over the budget, down to 1 %.
+        config: "step": halved every `halve_every` iterations (paper, supplement). "cosine": linear warm-up, then half a
+            cosine over the budget, down to 1 %.
         iteration: 0-based.
         done: share of the budget that is used, 0..1.
     """

@@ -58,7 +58,7 @@ class SegmentationTarget:
 
     Attributes:
         image: (H, W, 3) uint8 RGB at network size, fitted in as for inference (`geometry.segmentation.letterbox`).
-        classes: (H, W) uint8, 0 background, 1 left, 2 right; the forearm belongs to its hand (SPEC 2).
+        classes: (H, W) uint8, 0 background, 1 left, 2 right; the forearm belongs to its hand (docs/conventions.md).
         boxes_px: (2, 4) float32 u0, v0, u1, v1 in pixels of `image`, clipped to it; 0 for an absent hand.
         present: (2,) bool: any joint is inside, and any of the hand was to be seen before the changes.
     """

@@ -93,7 +93,7 @@ class Stage(nn.Module):
 
 
 class SegmentationStage(Stage):
-    """HandSegNet: cross-entropy of the masks plus mean squared error of the energies. Source: SPEC 2, 9."""
+    """HandSegNet: cross-entropy of the masks plus mean squared error of the energies. Source: paper, supplement."""
 
     def __init__(self, config: TrainConfig) -> None:
         super().__init__()
@@ -115,7 +115,7 @@ class SegmentationStage(Stage):
 
     def validate(self, batches: Sequence[Batch]) -> dict[str, float]:
         """miou: mean over pictures of the mean over left and right, an absent hand without prediction counts 1
-        (SPEC 7.1); presence: share of hands whose energy peak says rightly whether they are there."""
+        (docs/evaluation.md); presence: share of hands whose energy peak says rightly whether they are there."""
         ious: list[float] = []
         presence: list[float] = []
         for batch in batches:
@@ -248,7 +248,7 @@ class _Errors2D:
 
 
 class Pose2DStage(Stage):
-    """PoseNet2D on crops composed from true masks. Source: SPEC 3, 9."""
+    """PoseNet2D on crops composed from true masks. Source: paper section 4.2, supplement."""
 
     def __init__(self, config: TrainConfig) -> None:
         super().__init__()
@@ -274,7 +274,7 @@ class Pose2DStage(Stage):
 
 
 class Pose3DStage(Stage):
-    """PoseNet3D on PoseNet2D's maps: L_j + L_bone + L_proj. Source: paper Eq. 2, SPEC 4, 9.
+    """PoseNet3D on PoseNet2D's maps: L_j + L_bone + L_proj. Source: paper Eq. 2, supplement.
 
     The paper's order of training keeps PoseNet2D fixed. With `optim.along_rate` it keeps learning with its own loss and
     with the gradients that arrive through the maps (ours).

@@ -124,7 +124,7 @@ def test_official_sample_is_sound(shared_data: Path) -> None:
     assert report.instances == 1
     assert report.reprojection_px < 2e-4
     assert 0 < report.surface_gap_m < 0.025
-    np.testing.assert_allclose(report.range_m[::2], (0.2810818, 0.3297801), atol=1e-6)  # SPEC 5.4
+    np.testing.assert_allclose(report.range_m[::2], (0.2810818, 0.3297801), atol=1e-6)  # docs/paper-map.md, *Exactness*
 
 
 def test_contact_sheet_shows_every_sample_with_its_joints(tmp_path: Path) -> None:

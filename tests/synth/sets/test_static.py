@@ -75,7 +75,7 @@ def test_count_must_be_positive(tmp_path):
 
 
 def test_files_follow_the_official_layout(written):
-    """Read with plain cv2 and numpy, from the description of the format alone (SPEC 1.1)."""
+    """Read with plain cv2 and numpy, from the description of the format alone (docs/dataset-format.md)."""
     for folder in sorted(p for p in written.iterdir() if p.is_dir()):
         color = cv2.imread(str(folder / "color.png"), cv2.IMREAD_UNCHANGED)
         image = cv2.imread(str(folder / "color_new.png"), cv2.IMREAD_UNCHANGED)

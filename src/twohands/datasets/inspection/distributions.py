@@ -28,7 +28,8 @@ class Distributions:
         instances: number of pictures.
         hands: (2,) number of left and right hands.
         range_m: (h,) distance of the root joint from the pinhole, metres.
-        theta_deg, phi_deg: (h,) direction of the root joint: angle below the optical axis and to its right (SPEC 5.1).
+        theta_deg, phi_deg: (h,) direction of the root joint: angle below the optical axis and to its right
+            (docs/conventions.md).
         palm_deg: (h,) 0 where the palm faces the camera, 90 edge on, 180 where its back does.
         pointing_deg: (h,) direction wrist to root in the picture, -180..180: 0 up, 90 to the right.
         flexion_deg: (h, 5) sum of a finger's three bends, thumb first: 0 straight, about 250 in a fist.

@@ -27,7 +27,7 @@ from twohands.instance_index import INDEX_FILE, IndexEntry, digest
 from twohands.skeleton import LEFT, PART_NAMES, RIGHT, ROOT, SIDES, WRIST, part_label
 
 REPROJECTION_TOLERANCE_PX = 0.01
-"""Stored against projected 2D joints. The official sample differs by 3.5e-5 px at 960x540 (SPEC 1.1)."""
+"""Stored against projected 2D joints. The official sample differs by 3.5e-5 px at 960x540 (docs/paper-map.md)."""
 HAND_LENGTH_TOLERANCE_M = 1e-5
 """The official sample's hands are 8e-8 m short: float32 precision."""
 CANONICAL_TOLERANCE = 1e-4

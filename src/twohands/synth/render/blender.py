@@ -129,8 +129,8 @@ class BlenderRenderer:
             scene: its camera must have this renderer's image size.
 
         Returns:
-            Colour, alpha, labels and depth; a pixel has a label exactly where it has depth and alpha (SPEC 1.1), but
-            for things that are no part of a hand.
+            Colour, alpha, labels and depth; a pixel has a label exactly where it has depth and alpha
+            (docs/dataset-format.md), but for things that are no part of a hand.
         """
         if (scene.camera.width, scene.camera.height) != (self.width, self.height):
             raise ValueError(f"scene is {scene.camera.width}x{scene.camera.height}, not {self.width}x{self.height}")

@@ -281,7 +281,8 @@ def part_labels(asset: ArmsAsset) -> np.ndarray:
     """Part label 1..14 of every vertex (`skeleton.part_label`).
 
     A finger owns what follows its three phalanges most; the palm what follows wrist and metacarpals, as in
-    Ego3DHands, where the wrist joint still lies on the arm (SPEC 1.1); the thumb begins at its first phalanx.
+    Ego3DHands, where the wrist joint still lies on the arm (docs/dataset-format.md). The thumb begins at its first
+    phalanx.
     """
     dense = np.zeros((asset.n_vertices, len(BONE_NAMES)))
     np.put_along_axis(dense, asset.bone_index, asset.bone_weight, axis=1)

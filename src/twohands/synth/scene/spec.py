@@ -131,7 +131,7 @@ class SceneSpec:
         skin: the person's.
         lighting: lights.
         index: number of the instance.
-        view: (3, 4) from the frame between the eyes (SPEC 5.1) to the camera, before scaling.
+        view: (3, 4) from the frame between the eyes (docs/generator.md) to the camera, before scaling.
         clothes: sleeves and gloves.
         things: what the hands hold and wear, in the frame between the eyes, before scaling.
         people: whole people, drawn instead of the arms alone; the first is the one that all else here is about, and

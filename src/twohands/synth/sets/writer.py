@@ -1,4 +1,4 @@
-"""Encodes rendered instances in the official Ego3DHands layout (SPEC 1.1)."""
+"""Encodes rendered instances in the official Ego3DHands layout (docs/dataset-format.md)."""
 
 from __future__ import annotations
 
