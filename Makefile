@@ -28,7 +28,7 @@ lint: environment
 	$(BIN)/pyright
 
 environment:
-	@bash scripts/environment.sh $(VENV) synth,synth-bake,train,datasets,view,dev
+	@bash scripts/environment.sh $(VENV) synth,synth-bake,train,datasets,view,video,dev
 
 environment-view:
 	@bash scripts/environment.sh $(VENV) view

@@ -45,6 +45,7 @@ EXTRAS = {
     "anny": {"synth"},
     "matplotlib": {"visualization"},
     "ray": set(),
+    "av": set(),
 }
 """Optional packages, and the rooms whose modules may need them to be imported; elsewhere only inside functions."""
 

@@ -51,7 +51,7 @@ from twohands.inference.ground_truth import HeatmapTargets, Stage, TruthfulEstim
 from twohands.inference.leaving import CARRIED_FRAMES
 from twohands.inference.smoothing_sweep import DEGREES, LENGTHS, smoothing_sweep
 from twohands.inference.smoothing_sweep import VERSION as SWEEP_VERSION
-from twohands.inference.tracker import HandTracker
+from twohands.inference.video import VideoEstimator
 from twohands.inference.weights import DEFAULT_PRESET, preset_folder, weights_id
 from twohands.peers.base import Handedness
 from twohands.peers.mediapipe_hands import MediaPipeHands, Placement
@@ -501,24 +501,23 @@ def _settings(estimator: HandEstimator, system: System) -> dict[str, Any]:
 
 
 class _Video:
-    """An estimator that is told what it said of the frame before, and whose ranges are smoothed and leaving hands
-    carried on, folder by folder."""
+    """An estimator over the frames of folders, each a clip of its own: told what it said of the frame before, with
+    smooth ranges, leaving hands carried on, and sides that hands keep (`inference.video`)."""
 
     def __init__(self, estimate: Callable[[HandSample, TwoHandPose | None], TwoHandPose]) -> None:
         self._estimate = estimate
-        self._tracker = HandTracker()
+        self._video = VideoEstimator()
         self._folder: str | None = None
         self._frame = 0
-        self._previous: TwoHandPose | None = None
 
     def __call__(self, sample: HandSample) -> TwoHandPose:
         folder = sample.source.rpartition("/")[0]
         if folder != self._folder:
-            self._tracker.reset()
-            self._folder, self._frame, self._previous = folder, 0, None
-        pose = self._previous = replace(self._estimate(sample, self._previous), index=self._frame)
+            self._video.reset()
+            self._folder, self._frame = folder, 0
+        pose = self._video.update(lambda previous: replace(self._estimate(sample, previous), index=self._frame))
         self._frame += 1
-        return self._tracker.update(pose)
+        return pose
 
 
 def _protocol(dataset: OpenedDataset, rules: Rules) -> Protocol:

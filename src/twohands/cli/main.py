@@ -28,7 +28,7 @@ from twohands.cli.process import (
 from twohands.errors import MissingExtraError, TwoHandsError
 
 VERBS = {
-    "track": "both hands in metres from an image or a folder of images",
+    "track": "both hands in metres from a video, a camera, an image or a folder of images",
     "lift": "metres from another hand tracker's results: MediaPipe, WiLoR, HaMeR, OpenPose, MMPose",
     "demo": "track the packaged example images",
     "generate": "render labelled synthetic data",
@@ -50,6 +50,7 @@ _EXTRA_OF_MODULE = {
     "anny": "synth-bake",
     "matplotlib": "view",
     "ray": "cluster",
+    "av": "video",
 }
 
 READING_VERBS = ("track", "demo", "lift", "inspect", "eval", "bench")

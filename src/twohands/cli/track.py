@@ -1,6 +1,7 @@
-"""Both hands in metres from an image or a folder of images.
+"""Both hands in metres from a video, a camera, an image or a folder of images.
 
-Prints a table and writes hands.json, an overlay and the three-view figure of every image.
+Of images prints a table and writes hands.json, an overlay and the three-view figure of each. Of a video, a stream or
+camera:0 writes hands.jsonl while it runs, and an overlay, arrays and a table (extra video).
 """
 
 from __future__ import annotations
@@ -12,21 +13,25 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import cv2
 import numpy as np
 import tyro
 
 from twohands.cli.output import check_output_folder, write_file
+from twohands.cli.track_clip import ClipJob, check_times, default_out, track_clip
 from twohands.errors import InputError, MissingExtraError, TwoHandsError
 from twohands.formats.camera_files import camera_for_image, read_camera
 from twohands.formats.pictures import list_images, look_through, read_image
 from twohands.inference.estimator import DEFAULT_HAND_LENGTH_M, HandEstimator
+from twohands.inference.frames import is_video, load_av, open_frames
 from twohands.inference.records import to_dict
 from twohands.inference.weights import DEFAULT_PRESET
+from twohands.lifting.mediapipe_estimator import MediaPipeEstimator
 from twohands.skeleton import SIDES
 from twohands.types import PinholeCamera, TwoHandPose
 from twohands.visualization.overlay import draw_overlay
@@ -47,8 +52,9 @@ def option(metavar: str) -> Any:
 class TrackArgs:
     """Arguments of `twohands track`."""
 
-    input: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="INPUT")]
-    """Image (PNG, JPEG, WebP, BMP, TIFF, AVIF; HEIC with the extra heic) or folder of images."""
+    input: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="INPUT")]
+    """Image (PNG, JPEG, WebP, BMP, TIFF, AVIF; HEIC with the extra heic), folder of images, video file, address of a
+    stream (rtsp://...), or camera:0."""
     out: Annotated[Path | None, option("DIR")] = None
     """Folder for the results; out/track/NAME-OF-INPUT if not given."""
     camera: Annotated[Path | None, option("FILE")] = None
@@ -65,6 +71,25 @@ class TrackArgs:
     """Print hands.json instead of the table."""
     overwrite: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
     """Write into a folder that already holds something."""
+    start: Annotated[float, option("SECONDS")] = 0.0
+    """Video: first time that is wanted."""
+    end: Annotated[float | None, option("SECONDS")] = None
+    """Video: last time that is wanted."""
+    stride: Annotated[int, option("N")] = 1
+    """Video: every how many frames one is wanted."""
+    mirrored: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
+    """Video: the frames are mirrored, as webcams show them; they are turned back first."""
+    smooth: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True
+    """Video: leave ranges as they are estimated, and drop hands the moment they leave the picture."""
+    overlay: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True
+    """Video: write no overlay.mp4."""
+    estimator: Literal["ours", "mediapipe"] = "ours"
+    """Video: who finds the hands: our networks, or MediaPipe, whose hands we place in metres (docs/lift.md)."""
+    peer_python: Annotated[Path | None, option("FILE")] = None
+    """Interpreter of the environment that holds mediapipe; this one if not given."""
+    mediapipe_model: Annotated[Path | None, option("FILE")] = None
+    """hand_landmarker.task, which mediapipe needs from 0.10.30 on; its older solution with built-in models if not
+    given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,13 +113,16 @@ def run(args: TrackArgs) -> int:
     """Carry out `twohands track`."""
     hand_length_m = _hand_length_m(args.hand_length)
     camera = _camera(args)
-    folder = os.path.isdir(args.input)  # Path.is_dir raises for names too long for a file
-    files = list_images(args.input) if folder else [args.input]
+    if is_video(args.input):
+        return _track_clip(args, camera, hand_length_m)
+    source = Path(args.input)
+    folder = os.path.isdir(source)  # Path.is_dir raises for names too long for a file
+    files = list_images(source) if folder else [source]
     if folder:
-        _say_left_out(look_through(args.input).others)
-    pictures = _readable(files, camera, args.fov) if folder else [_open(args.input, 0, camera, args.fov)]
-    out = args.out or Path("out") / "track" / (args.input.resolve().name if folder else args.input.stem)
-    if folder and os.path.isdir(out) and os.path.samefile(out, args.input):
+        _say_left_out(look_through(source).others)
+    pictures = _readable(files, camera, args.fov) if folder else [_open(source, 0, camera, args.fov)]
+    out = args.out or Path("out") / "track" / (source.resolve().name if folder else source.stem)
+    if folder and os.path.isdir(out) and os.path.samefile(out, source):
         raise InputError(
             f"output {out} is the folder of the images, some of which it might replace; choose another --out"
         )
@@ -107,7 +135,7 @@ def run(args: TrackArgs) -> int:
         hand_length_m=hand_length_m,
         out=out,
         files=files,
-        source=str(args.input),
+        source=args.input,
         skip=folder,
     )
     if skipped := len(files) - len(record["frames"]):
@@ -120,6 +148,37 @@ def run(args: TrackArgs) -> int:
         print_table(record)
         print(f"written to {out}")
     return 0
+
+
+def _track_clip(args: TrackArgs, camera: PinholeCamera | None, hand_length_m: float) -> int:
+    """A video, a stream or a camera."""
+    start_s, end_s = check_times(args.start, args.end)
+    out = args.out or default_out(args.input)
+    check_output_folder(out, overwrite=args.overwrite)
+    with ExitStack() as stack:
+        frames = stack.enter_context(open_frames(args.input, start_s=start_s, end_s=end_s, stride=args.stride))
+        if args.overlay:
+            load_av()
+        if args.estimator == "mediapipe":
+            peer = stack.enter_context(MediaPipeEstimator(args.peer_python, model=args.mediapipe_model, video=True))
+            estimate, weights, more = peer.estimate, peer.name, {}
+        else:
+            ours = HandEstimator.from_preset(args.weights)
+            estimate, weights, more = ours.estimate, ours.card.name, {"config": ours.card.settings()}
+        _say_assumptions(args)
+        job = ClipJob(
+            args.input,
+            out,
+            lambda width, height: _fitted(camera, args.fov, width, height),
+            hand_length_m,
+            args.mirrored,
+            args.smooth,
+            args.overlay,
+            args.json,
+            weights,
+            more,
+        )
+        return track_clip(job, frames, estimate)
 
 
 def track_pictures(
@@ -266,14 +325,16 @@ def _say_left_out(others: list[Path]) -> None:
 def _open(path: Path, index: int, camera: PinholeCamera | None, fov_deg: float | None) -> Picture:
     """Read one picture and fit the camera to its size."""
     image = read_image(path)
-    height, width = image.shape[:2]
+    return Picture(path, index, image, _fitted(camera, fov_deg, image.shape[1], image.shape[0]))
+
+
+def _fitted(camera: PinholeCamera | None, fov_deg: float | None, width: int, height: int) -> PinholeCamera:
+    """The camera of pictures of a size."""
     if camera is not None:
-        fitted = camera_for_image(camera, width, height)
-    elif fov_deg is not None:
-        fitted = PinholeCamera.from_fov(fov_deg, width, height)
-    else:
-        fitted = assumed_camera(width, height)
-    return Picture(path, index, image, fitted)
+        return camera_for_image(camera, width, height)
+    if fov_deg is not None:
+        return PinholeCamera.from_fov(fov_deg, width, height)
+    return assumed_camera(width, height)
 
 
 def assumed_camera(width: int, height: int) -> PinholeCamera:

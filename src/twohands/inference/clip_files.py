@@ -124,10 +124,10 @@ class ClipFiles:
             with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED) as archive:
                 for name, array in to_arrays([], self._camera, **self._about).items():
                     if name in self._columns:
-                        spool, dtype, shape = self._columns[name]
+                        spool, dtype, row_shape = self._columns[name]
                         spool.seek(0)
                         with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
-                            np.lib.format.write_array_header_1_0(member, _npy_header(dtype, (self.count, *shape)))
+                            np.lib.format.write_array_header_1_0(member, _npy_header(dtype, (self.count, *row_shape)))
                             shutil.copyfileobj(spool, member)
                     else:
                         array = np.full(self.count, "", "<U1") if name == "files" else array

@@ -14,13 +14,12 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import cv2
 import numpy as np
 
 from twohands.errors import InputError, MissingExtraError
-from twohands.inference.sources import IMAGE_SUFFIXES
 
 CAMERA_PREFIX: Final = "camera:"
 OPEN_TIMEOUT_S: Final = 5.0
@@ -30,8 +29,8 @@ STALL_TIMEOUT_S: Final = 10.0
 
 _MOST_REFUSALS: Final = 100
 """Times in a row that a damaged file is asked for what comes next."""
-
-Kind = Literal["pictures", "video", "stream", "camera"]
+_VIDEOS: Final = "3gp asf avi flv gif m2ts m4v mjpeg mjpg mkv mov mp4 mpeg mpg mts mxf ogv ts webm wmv y4m"
+VIDEO_SUFFIXES: Final = frozenset(f".{name}" for name in _VIDEOS.split())
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,15 +48,9 @@ class Frame:
     time_s: float
 
 
-def kind_of(source: str) -> Kind:
-    """What an input is, by its name: `camera:0`, an address with `://`, else by the ending of a file or folder."""
-    if source.startswith(CAMERA_PREFIX):
-        return "camera"
-    if "://" in source:
-        return "stream"
-    path = Path(source)
-    is_pictures = os.path.isdir(path) or path.suffix.lower() in IMAGE_SUFFIXES
-    return "pictures" if is_pictures or not os.path.isfile(path) else "video"
+def is_video(source: str) -> bool:
+    """Whether an input is a camera (`camera:0`), an address (`://`) or, by its ending, a video file."""
+    return source.startswith(CAMERA_PREFIX) or "://" in source or Path(source).suffix.lower() in VIDEO_SUFFIXES
 
 
 class VideoFrames:
@@ -265,6 +258,7 @@ def load_av() -> Any:
     """
     try:
         import av
+        import av.logging
     except ImportError:
         raise MissingExtraError("video", "video") from None
     av.logging.set_level(None)  # its complaints come out as counts and our one line

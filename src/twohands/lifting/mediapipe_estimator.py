@@ -50,6 +50,7 @@ class MediaPipeEstimator:
         *,
         index: int = 0,
         time_s: float | None = None,
+        previous: TwoHandPose | None = None,
     ) -> TwoHandPose:
         """Both hands of one picture.
 
@@ -58,6 +59,7 @@ class MediaPipeEstimator:
             camera: intrinsics at this image size.
             hand_length_m: as `HandEstimator.estimate`; MediaPipe's own bone is `BONE_RATIO` of it.
             index, time_s: position in the source.
+            previous: not used; MediaPipe remembers by itself, where pictures are a video's frames.
 
         Raises:
             DataFormatError: the process has died.

@@ -49,7 +49,7 @@ def draw_live(image: np.ndarray, pose: TwoHandPose, *, inset: bool = True) -> np
 def _draw_hand(canvas: np.ndarray, hand: HandPose, side: int, scale: float) -> None:
     points = np.asarray(hand.joints_px)
     depth = np.zeros(len(points)) if hand.canonical is None else np.nan_to_num(hand.canonical[:, 2])
-    width = max(1, round(2.0 * scale))
+    width = max(2, round(2.2 * scale))
     for start, end in sorted(BONES, key=lambda bone: -(depth[bone[0]] + depth[bone[1]])):
         if np.isfinite(points[[start, end]]).all():
             a, b = _fixed(points[start]), _fixed(points[end])
@@ -95,13 +95,13 @@ def _draw_inset(canvas: np.ndarray, pose: TwoHandPose, scale: float) -> None:
 
 
 def _write(canvas: np.ndarray, text: str, u: float, v: float, scale: float, colour: tuple[int, int, int]) -> None:
-    font, size, weight = cv2.FONT_HERSHEY_SIMPLEX, 0.5 * scale, max(1, round(scale))
+    font, size, weight = cv2.FONT_HERSHEY_SIMPLEX, max(0.4, 0.55 * scale), max(1, round(scale))
     (width, height), _ = cv2.getTextSize(text, font, size, weight)
     origin = (
         round(min(max(u, 0), max(canvas.shape[1] - width, 0))),
         round(min(max(v, height), canvas.shape[0] - 2)),
     )
-    cv2.putText(canvas, text, origin, font, size, _INK, weight + 2, cv2.LINE_AA)
+    cv2.putText(canvas, text, origin, font, size, _INK, weight + 1, cv2.LINE_AA)
     cv2.putText(canvas, text, origin, font, size, colour, weight, cv2.LINE_AA)
 
 
