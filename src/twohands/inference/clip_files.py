@@ -91,7 +91,7 @@ class ClipFiles:
             os.replace(partial_path(self._folder / CSV), self._folder / CSV)
             self._write_npz()
         finally:
-            for file, _, _ in self._columns.values():
+            for file, *_row in self._columns.values():
                 file.close()
 
     def write(self, pose: TwoHandPose) -> str:
