@@ -38,9 +38,9 @@ from twohands.evaluation.comparison import REFERENCE_WIDTH_PX, Comparison, compa
 from twohands.evaluation.completion import hand_lengths_m
 from twohands.evaluation.predictions import Predictions, predict
 from twohands.evaluation.summary import markdown_table
+from twohands.formats.pictures import IMAGE_SUFFIXES, read_image
 from twohands.geometry.anatomy import HAND_LENGTH, anatomical_joints
 from twohands.inference.estimator import HandEstimator
-from twohands.formats.pictures import IMAGE_SUFFIXES, read_image
 from twohands.inference.weights import DEFAULT_PRESET
 from twohands.skeleton import LEFT, N_JOINTS, RIGHT, ROOT, SIDES
 from twohands.types import HandPose, HandSample, PinholeCamera, TwoHandPose
@@ -51,7 +51,7 @@ RANGE_CM = 7.0
 PHOTO_FOV = 60.0
 """Horizontal field of view that is assumed for photographs, degrees."""
 ABOUT = (
-    "What these pictures are: [evaluation.md](evaluation.md#real-photographs). No network was trained on them; the "
+    "What these pictures are: [evaluation.md](../evaluation.md#real-photographs). No network was trained on them; the "
     "crops had a say in the choice of `mirror_below_logit`, `merged_seg_weight` and `apart_distance` and in where "
     "`provisional_logit` counts (`inference.decision`), and in that of a constant in the judge of `accurate`."
 )

@@ -34,6 +34,7 @@ from benchmarks.real_systems import MEDIAPIPE, MediaPipe, OurWeights, Segment, S
 from twohands.cli.output import write_file
 from twohands.errors import DataFormatError, InputError, TwoHandsError
 from twohands.evaluation.predictions import load_predictions, save_predictions
+from twohands.evaluation.results import inserted
 from twohands.evaluation.summary import markdown_table
 from twohands.inference.estimator import HandEstimator
 from twohands.inference.weights import DEFAULT_PRESET
@@ -43,8 +44,8 @@ PARTS = ("people", "clips", "digits", "ge2019", "official", "research", "stills"
 QUICK_PARTS = ("people", "frames", "digits", "official")
 FLOORS = Path(__file__).with_name("figures.json")
 """Figures that new weights must not fall below, by preset."""
-BEGIN, END = "<!-- real people -->", "<!-- /real people -->"
-"""What the table stands between in a document."""
+MARKER = "real people"
+"""Name of the markers between which the table stands in a document."""
 TIME = "hand_seg_net.time"
 ALLOWANCE = 0.03
 """By so much of its value an error may rise above the one that was accepted: processors do not all compute alike. A
@@ -274,23 +275,6 @@ def details(systems: Mapping[str, Figures]) -> str:
 def page(systems: Mapping[str, Figures]) -> str:
     """The section on real pictures, without its markers."""
     return "\n\n".join(["## Real people", ABOUT, table(systems), "All figures:", details(systems)])
-
-
-def inserted(document: str, text: str) -> str:
-    """A document with `text` between its markers, instead of what stood there; where there are no markers, text and
-    markers come after the first line, its title.
-
-    Raises:
-        InputError: one marker without the other, or in the wrong order.
-    """
-    block = f"{BEGIN}\n\n{text}\n\n{END}"
-    begin, end = document.find(BEGIN), document.find(END)
-    if (begin < 0) != (end < 0) or end < begin:
-        raise InputError(f"expected {BEGIN} and later {END}, or neither")
-    if begin < 0:
-        title, _, rest = document.partition("\n")
-        return f"{title}\n\n{block}\n{rest}"
-    return document[:begin] + block + document[end + len(END) :]
 
 
 def to_json(systems: Mapping[str, Figures]) -> dict[str, Any]:
@@ -537,7 +521,7 @@ def _insert(path: Path, text: str) -> None:
         document = path.read_text(encoding="utf-8")
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
-    write_file(path, inserted(document, text).encode())
+    write_file(path, inserted(document, text, MARKER).encode())
 
 
 def _accept(figures: Mapping[str, Figures]) -> None:

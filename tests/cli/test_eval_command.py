@@ -194,7 +194,10 @@ def test_budget_of_the_first_images_and_results(data: Path, weights: Path, tmp_p
     assert "Over the first 2 images." in text and "| global step alone | 0.000 | 0.000 | 0.000 |" in text
     assert "| off | - |" in text and "| 3 | 1 |" in text
     assert main(results) == 2  # never overwritten unasked
-    assert main([*results, "--overwrite"]) == 0
+    page = tmp_path / "short.md"
+    page.write_text("# Results\n\nText.\n")
+    assert main([*results, "--overwrite", "--insert", str(page)]) == 0
+    assert "What each stage costs, ours on " in page.read_text() and page.read_text().endswith("Text.\n")
 
 
 def test_names_that_are_no_text(data: Path, weights: Path, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from benchmarks import real_people, real_pictures, real_scores, real_sheets, real_systems
-from benchmarks.real_people import BEGIN, END, KINDS, ROWS
+from benchmarks.real_people import KINDS, ROWS
 from benchmarks.real_pictures import Part, unlabelled
 from benchmarks.real_scores import Measured
 from tests.oracles import write_tiny_weights
@@ -209,21 +209,6 @@ class TestTable:
         lines = real_people.table({"fast": {"research.any": Measured(0.002, 810)}, "MediaPipe": {}}).splitlines()
         assert len(lines) == 2 + len(ROWS) and lines[0].endswith("| aim | fast | MediaPipe |")
         assert next(line for line in lines if line.startswith("| research")).endswith("| **0.20 %** | - |")
-
-
-class TestInsertion:
-    def test_below_the_title_where_there_are_no_markers(self):
-        assert real_people.inserted("# Title\n\nText.\n", "T") == f"# Title\n\n{BEGIN}\n\nT\n\n{END}\n\nText.\n"
-
-    def test_between_the_markers_and_nowhere_else(self):
-        once = real_people.inserted("# Title\n\nText.\n", "T")
-        assert real_people.inserted(once, "T") == once
-        assert real_people.inserted(once, "U") == once.replace("\nT\n", "\nU\n")
-
-    @pytest.mark.parametrize("text", [f"a\n{BEGIN}\n", f"{END} {BEGIN}", END])
-    def test_half_a_pair_is_refused(self, text):
-        with pytest.raises(InputError, match="later"):
-            real_people.inserted(text, "T")
 
 
 class TestFloors:

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from tests.evaluation.test_protocols import SAMPLES, perfect_pose, predictions_for
 
+from twohands.errors import InputError
 from twohands.evaluation.comparison import Protocol, compare
-from twohands.evaluation.results import comparison_table, results_page, sweep_findings, sweep_table
+from twohands.evaluation.results import comparison_table, headlines, inserted, results_page, sweep_findings, sweep_table
 from twohands.evaluation.summary import BUDGET_COLUMNS, BUDGET_TEXT, Summary, summarise
 
 METRICS = ("range_mean", "range_median", "range_7cm", "cs_mpjpe", "acceleration_radial")
@@ -125,3 +126,31 @@ def test_page() -> None:
     assert page.count("## Range smoothing over video") == 1 and page.count("\n## ") == 3
     assert "- mIoU (per image): the paper does not say how it averages" in page
     assert "| Zimmermann and Brox | 3D EPE median, Cartesian alignment | 18.80 mm |" in page
+
+
+def test_headlines_have_a_row_for_each_system_of_each_set() -> None:
+    lines = headlines([summary_of(), summary_of("stb")]).splitlines()
+    assert len(lines) == 2 + 2 * 2  # no budget was measured
+    dataset = summary_of().systems[0].report
+    assert lines[2].startswith(f"| {dataset.dataset}, {dataset.images} images | ours | 1 | 1 | 0 |")
+    assert lines[3].startswith("|  | MediaPipe | 1 |") and lines[3].endswith("| 0 |")
+
+
+class TestInsertion:
+    """Text between markers of a document that people write."""
+
+    BEGIN, END = "<!-- x -->", "<!-- /x -->"
+
+    def test_below_the_title_where_there_are_no_markers(self) -> None:
+        expected = f"# Title\n\n{self.BEGIN}\n\nT\n\n{self.END}\n\nText.\n"
+        assert inserted("# Title\n\nText.\n", "T", "x") == expected
+
+    def test_between_the_markers_and_nowhere_else(self) -> None:
+        once = inserted(inserted("# Title\n\nText.\n", "other", "y"), "T", "x")
+        assert inserted(once, "T", "x") == once
+        assert inserted(once, "U", "x") == once.replace("\nT\n", "\nU\n")
+
+    @pytest.mark.parametrize("text", [f"a\n{BEGIN}\n", f"{END} {BEGIN}", END])
+    def test_half_a_pair_is_refused(self, text: str) -> None:
+        with pytest.raises(InputError, match="later"):
+            inserted(text, "T", "x")

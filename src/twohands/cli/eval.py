@@ -12,7 +12,7 @@ import contextlib
 import json
 import shlex
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias, TypeVar
@@ -40,7 +40,7 @@ from twohands.evaluation.predictions import (
 )
 from twohands.evaluation.protocols import evaluate
 from twohands.evaluation.report import EvaluationReport, table_row
-from twohands.evaluation.results import results_page, sweep_findings, sweep_table
+from twohands.evaluation.results import headlines, inserted, results_page, sweep_findings, sweep_table
 from twohands.evaluation.summary import Summary, budget_costs, budget_results, is_number, summarise
 from twohands.evaluation.summary import Table as TextTable
 from twohands.formats.structured import parse_json
@@ -235,7 +235,7 @@ class Sweep:
 
 @dataclass(frozen=True)
 class Results:
-    """Make one Markdown page of finished reports and sweeps; docs/results.md is made like this."""
+    """Make one Markdown page of finished reports and sweeps; docs/results/generated.md is made like this."""
 
     reports: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="REPORT")]
     """Files report.json of `eval report`, one section each."""
@@ -243,6 +243,8 @@ class Results:
     """Markdown file to write."""
     sweeps: tuple[Path, ...] = ()
     """Files of `eval sweep --out`."""
+    insert: Path | None = None
+    """A Markdown file that gets the headlines, between its markers "generated sets"."""
     note: tuple[str, ...] = ()
     """Remarks for the reader."""
     overwrite: bool = False
@@ -424,9 +426,20 @@ def _run_results(args: Results) -> int:
         raise InputError("at least one report.json is needed")
     sweeps = [_read_json(path, _checked_sweep, "a sweep of twohands eval sweep") for path in args.sweeps]
     page = results_page(summaries, sweeps, command=_command(), notes=args.note)
+    short = None if args.insert is None else _with_headlines(args.insert, summaries)
     write_file(args.out, page_bytes(page))
+    if args.insert is not None and short is not None:
+        write_file(args.insert, page_bytes(short))
     print(f"{len(summaries)} reports and {len(sweeps)} sweeps set out in {args.out}")
     return 0
+
+
+def _with_headlines(path: Path, summaries: Sequence[Summary]) -> str:
+    """The document with these headlines."""
+    try:
+        return inserted(path.read_text(encoding="utf-8"), headlines(summaries), "generated sets")
+    except (OSError, UnicodeError) as error:
+        raise InputError(f"{path}: cannot be read ({error})") from None
 
 
 def _checked_sweep(sweep: dict[str, Any]) -> dict[str, Any]:

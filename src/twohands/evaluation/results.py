@@ -1,10 +1,11 @@
-"""One Markdown page from finished reports: docs/results.md is this page and is never edited."""
+"""Markdown from finished reports: docs/results/generated.md, and the short tables that docs/results.md begins with."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any, Final
 
+from twohands.errors import InputError
 from twohands.evaluation.published import GENERATED_CAVEAT, Published
 from twohands.evaluation.report import format_number
 from twohands.evaluation.summary import COMMON_TITLE, HEADLINE, Summary, Table, markdown_table
@@ -17,6 +18,17 @@ SWEEP_COLUMNS: Final = (
     ("acceleration_radial", "acceleration error, radial (m/s2)", min),
 )
 """Metric key, heading, and whether less or more is better."""
+
+HEADLINES: Final = (
+    ("presence_accuracy", "presence"),
+    ("miou", "mIoU"),
+    ("error_2d_median", "2D, median (px)"),
+    ("direction_3deg", "direction within 3 deg"),
+    ("range_median", "range, median (cm)"),
+    ("range_7cm", "within 7 cm"),
+    ("cs_mpjpe", "CS-MPJPE (mm)"),
+)
+"""Metric key and heading of the table that has one row for each set and system."""
 
 SWEEP_TEXT: Final = (
     "The root joint's range smoothed by a polynomial over the latest frames, current frame included, as it would run "
@@ -38,7 +50,7 @@ def results_page(
     Returns:
         Markdown.
     """
-    lines = ["# Results", "", "Made by commands, not by hand; the last one is", "", *_code(command)]
+    lines = ["# Results on generated sets", "", "Made by commands, not by hand; the last one is", "", *_code(command)]
     for note in notes:
         lines += [f"> {note}", ""]
     for summary in summaries:
@@ -46,6 +58,44 @@ def results_page(
     for sweep in sweeps:
         lines += _sweep(sweep)
     return "\n".join(lines)
+
+
+def headlines(summaries: Sequence[Summary]) -> str:
+    """What a reader wants first: a row for each set and system, and what each stage costs where that was measured."""
+    table: Table = [["set", "system", *(name for _, name in HEADLINES)]]
+    costs: list[str] = []
+    for summary in summaries:
+        known = summary.metric_keys()
+        columns = [summary.metrics_table([key])[1][2:-1] if key in known else None for key, _ in HEADLINES]
+        for index, system in enumerate(summary.systems):
+            name = f"{system.report.dataset}, {system.report.images} images" if index == 0 else ""
+            table.append([name, system.name, *("n/a" if column is None else column[index] for column in columns)])
+        if tables := summary.budget_tables():
+            costs += [
+                "",
+                f"What each stage costs, {summary.systems[0].name} on {summary.systems[0].report.dataset}:",
+                "",
+            ]
+            costs += markdown_table(tables[1])
+    return "\n".join([*markdown_table(table), *costs])
+
+
+def inserted(document: str, text: str, name: str) -> str:
+    """A document with `text` between the markers of this name, instead of what stood there; where there are none, text
+    and markers come after the first line, its title.
+
+    Raises:
+        InputError: one marker without the other, or in the wrong order.
+    """
+    opening, closing = f"<!-- {name} -->", f"<!-- /{name} -->"
+    block = f"{opening}\n\n{text}\n\n{closing}"
+    begin, end = document.find(opening), document.find(closing)
+    if (begin < 0) != (end < 0) or end < begin:
+        raise InputError(f"expected {opening} and later {closing}, or neither")
+    if begin < 0:
+        title, _, rest = document.partition("\n")
+        return f"{title}\n\n{block}\n{rest}"
+    return document[:begin] + block + document[end + len(closing) :]
 
 
 def comparison_table(summary: Summary) -> Table:

@@ -1,7 +1,7 @@
 """New weights of a preset: means of its networks with trained ones.
 
 A run's last weights follow its last pictures; their mean with the weights that they come from is steadier, and often
-better than either (`docs/experiments.md` has the figures). The pose networks of both shipped presets were made
+better than either (`docs/history/journal.md` has the figures). The pose networks of both shipped presets were made
 like this.
 """
 

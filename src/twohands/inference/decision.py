@@ -59,7 +59,7 @@ class ViewConfig:
     """Where the joints of a hand span less than this of the picture, there is nothing to see."""
     agreement_share: float = 0.04
     """How far, as a share of the hand's longer side, views see a joint from their median when they are said to agree
-    half. 0.02 to 0.06 are alike (docs/experiments.md, *Where looks agree*)."""
+    half. 0.02 to 0.06 are alike (docs/history/journal.md, *Where looks agree*)."""
 
     def __post_init__(self) -> None:
         if len(self.tta_score_range) != 2:
@@ -79,7 +79,7 @@ class DecisionConfig:
 
     This and the next four were chosen together, with earlier weights, on generated pictures that are neither trained
     nor tested on, and on the photographs that training puts behind hands; 0.3, as it was then, misses two more of 2,722
-    hands (docs/experiments.md, *Who shows one hand mostly shows both*).
+    hands (docs/history/journal.md, *Who shows one hand mostly shows both*).
     """
     mirror_below_logit: float = 0.0
     """`hand_logit` of any candidate below which PoseNet2D sees the mirror images too: at 1 % of the candidates at an
@@ -107,7 +107,7 @@ class DecisionConfig:
     second_hand_bonus: float = 0.75
     """Log-odds given to a candidate apart from another that is a hand: who shows one hand mostly shows both. Chosen
     with `provisional_logit` and `joint_score_middle` on 1,400 pictures of scene style wild, neither trained nor tested
-    on: docs/experiments.md, *The last word comes last*."""
+    on: docs/history/journal.md, *The last word comes last*."""
     provisional_logit: float = 1.0
     """Log-odds below 0 down to which a candidate that no other is near may still be taken for a hand by `rescore`,
     which knows more: it gives a hand of which all is certain 0.9, and takes what PoseNet2D says in a better crop."""

@@ -3,7 +3,7 @@
 The solve is the paper's (section 4.4) with all joints for one. Two steps after it are ours. Joints are pulled to the
 lines of sight on which they are seen. And uncertain ranges are drawn towards what is usual: an estimated range is in
 error by a share of itself, and the more, the less certain the 2D joints are; hands are mostly within reach of what they
-do and of each other. Measured in docs/experiments.md, *What is usual, and the other hand*.
+do and of each other. Measured in docs/history/journal.md, *What is usual, and the other hand*.
 """
 
 from __future__ import annotations
