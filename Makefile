@@ -1,5 +1,6 @@
 # make demo   track the packaged example images (installs the core and the figures, no torch)
 # make test   run all tests but those of Blender and Ray (installs what they need)
+# make test-fast  the tests of mathematics, models, decisions, scores and pages: a minute on two idle cores
 # make lint   ruff and pyright
 # make clean  remove the environment and everything generated
 #
@@ -8,7 +9,7 @@
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: help demo test lint clean environment environment-view
+.PHONY: help demo test test-fast lint clean environment environment-view
 
 help:
 	@sed -n 's/^# \(make .*\)/\1/p' Makefile
@@ -21,6 +22,16 @@ test: environment
 	OMP_NUM_THREADS=1 $(BIN)/pytest --numprocesses auto --maxprocesses 4 --ignore tests/training
 # The trainer's loader forks, which a process that has held an OpenGL context does not survive: a run of its own.
 	OMP_NUM_THREADS=1 $(BIN)/pytest --numprocesses auto --maxprocesses 4 tests/training
+
+# Whole directories and files that render nothing, start no process and train nothing; add new ones by that rule.
+FAST := tests/geometry tests/lifting tests/models tests/evaluation/test_metrics.py tests/evaluation/test_comparison.py \
+	tests/evaluation/test_protocols.py tests/inference/test_handedness.py tests/inference/test_keypoints.py \
+	tests/inference/test_leaving.py tests/inference/test_placement.py tests/inference/test_records.py \
+	tests/inference/test_tracker.py tests/inference/test_views.py tests/training/test_losses.py \
+	tests/training/test_schedule.py tests/test_skeleton.py tests/test_pages.py
+
+test-fast: environment
+	OMP_NUM_THREADS=1 $(BIN)/pytest --quiet --numprocesses 2 -m "not slow" $(FAST)
 
 lint: environment
 	$(BIN)/ruff check .

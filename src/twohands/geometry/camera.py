@@ -26,8 +26,7 @@ def unproject(points_px: Array, camera: PinholeCamera) -> Array:
     Returns:
         (..., 3) camera frame, scaled to z = 1. NaN where the lens model maps no ray to that pixel.
 
-    Source: x = (u - cx) / fx, y = (v - cy) / fy; the paper has one focal length and a centred principal point
-    (the paper has its principal point in the middle).
+    Source: x = (u - cx) / fx, y = (v - cy) / fy; the paper has one focal length and a centred principal point.
     """
     xp, points_px = float_arrays(points_px)
     x = (points_px[..., 0] - camera.cx) / camera.fx

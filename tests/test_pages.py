@@ -1,0 +1,65 @@
+"""Pages tell the truth about what a machine can check: links lead somewhere, and files that are named exist."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
+SHORT = {"docs/results.md": 150, "docs/experiments.md": 120}
+"""Pages that must stay pages, and their most lines."""
+
+
+def prose(page: Path) -> str:
+    """Its text without blocks of code."""
+    return re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+
+
+def anchors(page: Path) -> set[str]:
+    """Of its headings, as GitHub makes them."""
+    headings = re.findall(r"^#+ (.*)$", prose(page), flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.strip().lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_links_lead_somewhere(page: Path) -> None:
+    for link in re.findall(r"\]\(([^)\s]+)\)", prose(page)):
+        if link.startswith(("http:", "https:")):
+            continue
+        path, _, anchor = link.partition("#")
+        target = (page.parent / path).resolve() if path else page
+        assert target.exists(), f"{link} leads nowhere"
+        if anchor:
+            assert anchor in anchors(target), f"{link}: no such heading"
+
+
+@pytest.mark.parametrize("name", SHORT)
+def test_pages_stay_short(name: str) -> None:
+    assert len((ROOT / name).read_text(encoding="utf-8").splitlines()) <= SHORT[name]
+
+
+def test_files_that_contributing_names_exist() -> None:
+    table = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").split("## House rules")[0]
+    names = [name for name in re.findall(r"`([\w/]+\.(?:py|md|json))`", table) if not re.search("[A-Z]{4}", name)]
+    assert len(names) > 25
+    for name in names:
+        found = [ROOT / name, ROOT / "src/twohands" / name, *ROOT.glob(f"src/twohands/weights/*/{name}")]
+        assert any(path.exists() for path in found), name
+
+
+def test_sources_name_pages_and_headings_that_exist() -> None:
+    """A docstring that cites docs/PAGE.md, *Heading*, cites a heading of that page."""
+    cited = re.compile(r"(docs/[\w/-]+\.md)(?:, \*([^*]+)\*)?")
+    files = [path for room in ("src", "tests", "benchmarks", "scripts") for path in (ROOT / room).rglob("*.py")]
+    for path in files:
+        if path == Path(__file__).resolve():
+            continue
+        text = re.sub(r"\s*\n\s*", " ", path.read_text(encoding="utf-8"))
+        for page, heading in cited.findall(text):
+            assert (ROOT / page).exists(), f"{path}: {page}"
+            if heading:
+                headings = re.findall(r"^#+ (.*)$", (ROOT / page).read_text(encoding="utf-8"), flags=re.MULTILINE)
+                assert any(known.startswith(heading) for known in headings), f"{path}: {page}, {heading}"
