@@ -9,6 +9,7 @@ from twohands.geometry.heatmaps import encode_energy
 from twohands.geometry.segmentation import (
     PRESENCE_THRESHOLD,
     boxes_from_energy,
+    canvas_size,
     certain_masks,
     energy_box,
     hand_scores,
@@ -237,3 +238,20 @@ def test_an_absent_hand_gets_no_pixel():
     np.testing.assert_array_equal(masks_from_logits(logits, (1, 3), BOTH), [[1, 2, 0]])
     np.testing.assert_array_equal(masks_from_logits(logits, (1, 3), np.array([True, False])), [[1, 1, 0]])
     np.testing.assert_array_equal(masks_from_logits(logits, (1, 3), np.array([False, False])), [[0, 0, 0]])
+
+
+def test_inputs_take_the_form_of_the_picture():
+    own = (224, 384)  # 86,016 cells
+    assert canvas_size((540, 960), own) == own
+    assert canvas_size((480, 640), own) == (256, 320)  # half size instead of 224 / 480
+    assert canvas_size((256, 256), own) == (288, 288)
+    assert canvas_size((640, 480), own) == (352, 224)
+    assert canvas_size((1280, 720), own) == (384, 224)
+
+
+@pytest.mark.parametrize("picture", [(480, 640), (1280, 720), (300, 300), (1000, 100), (7, 4000)])
+def test_no_input_shows_a_picture_smaller_or_has_more_cells(picture):
+    own = (192, 352)
+    form = canvas_size(picture, own)
+    assert form[0] % 32 == form[1] % 32 == 0 and form[0] * form[1] <= own[0] * own[1]
+    assert min(form[0] / picture[0], form[1] / picture[1]) >= min(own[0] / picture[0], own[1] / picture[1])

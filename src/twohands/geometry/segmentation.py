@@ -27,6 +27,12 @@ OPENING_SIZE = 5
 REFERENCE_WIDTH = 512
 LETTERBOX_GREY = 128
 """What surrounds a picture that does not fill a network's input: 0 once it is normalised."""
+STRIDE = 32
+"""What both sides of HandSegNet's input are multiples of."""
+FORMS = (4 / 3, 1.0, 3 / 4, 9 / 16)
+"""Width over height of the inputs that take the place of the network's own for pictures of other forms."""
+LEAST_GAIN = 0.05
+"""Another form must show a picture so much larger."""
 STRETCH = 0.05
 """Pictures whose aspect ratio is this close to the network's input are stretched to fill it."""
 UNCERTAIN = 2
@@ -69,6 +75,32 @@ class HandBoxes:
     boxes_px: np.ndarray
     present: np.ndarray
     scores: np.ndarray
+
+
+def canvas_size(image_size: tuple[int, int], network_size: tuple[int, int]) -> tuple[int, int]:
+    """The form of a network's input in which a picture is largest, for the same work.
+
+    A fixed input of 16:9 shows a portrait at half the scale that its cells allow. A network of convolutions takes any
+    form; few are used (`FORMS`), for a runtime prepares each.
+
+    Args:
+        image_size: (H, W) of the picture.
+        network_size: (height, width) of the input, multiples of `STRIDE`; the result has at most as many cells.
+
+    Returns:
+        (height, width), multiples of `STRIDE`; `network_size` itself where no form shows more.
+    """
+    cells = network_size[0] * network_size[1]
+
+    def scale(form: tuple[int, int]) -> float:
+        return min(form[0] / image_size[0], form[1] / image_size[1])
+
+    forms = [network_size]
+    for aspect in FORMS:
+        rows = max(1, round((cells / aspect) ** 0.5 / STRIDE)) * STRIDE
+        forms.append((rows, max(1, cells // rows // STRIDE) * STRIDE))
+    best = max((form for form in forms if form[0] * form[1] <= cells), key=scale)
+    return best if scale(best) > scale(network_size) * (1 + LEAST_GAIN) else network_size
 
 
 def letterbox(image: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, Letterbox]:

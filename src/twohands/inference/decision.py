@@ -45,6 +45,15 @@ class ViewConfig:
     rules of `inference.handedness` chosen for either, presence before a webcam was right for 93.5 instead of 90.5 % of
     the hands; two views of all pictures bring a little more, and cost twice as much.
     """
+    closer_below_share: float = 0.0
+    """Where arms and hands, with the room around them, take less than this share of a picture, HandSegNet sees that
+    part once more by itself: a person across a room fills it then. 0 never does."""
+    closer_margin: float = 1.6
+    """Sides of that part over those of the box around arms and hands."""
+    closer_smallest: float = 0.15
+    """Least side of that part, as a share of the picture's."""
+    closer_lead: float = -0.8
+    """A hand's lead over the background, in logits, from which on a pixel belongs to that box."""
     tta_rolls_deg: tuple[float, ...] = ()
     """Further views of a hand for the pose networks, as cameras see it that are rolled so far about their line of
     sight; degrees."""

@@ -9,11 +9,13 @@ from collections.abc import Callable
 from functools import cache
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from twohands.geometry.segmentation import (
     HandBoxes,
     boxes_from_energy,
+    canvas_size,
     hand_scores,
     letterbox,
     masks_from_logits,
@@ -22,7 +24,7 @@ from twohands.geometry.segmentation import (
     probability,
     unmirrored,
 )
-from twohands.inference.decision import PictureView
+from twohands.inference.decision import PictureView, ViewConfig
 from twohands.inference.weights import WeightsCard
 
 HandSegNet = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -43,6 +45,21 @@ class HandMaps(NamedTuple):
 
 
 def hand_maps(network: HandSegNet, card: WeightsCard, image: np.ndarray) -> HandMaps:
+    """HandSegNet's maps of a picture; where hands and arms fill a small part of it, of that part seen closer.
+
+    Args:
+        network: HandSegNet.
+        card: what it expects.
+        image: (H, W, 3) uint8 RGB.
+    """
+    found = picture_maps(network, card, image)
+    part = closer_part(found, image.shape[:2], card.views)
+    if part is None:
+        return found
+    return with_part(found, picture_maps(network, card, image[part]), part, image.shape[:2])
+
+
+def picture_maps(network: HandSegNet, card: WeightsCard, image: np.ndarray) -> HandMaps:
     """HandSegNet's maps of a picture; the mean of all views where the first leaves a score within `tta_score_range`.
 
     Args:
@@ -50,7 +67,7 @@ def hand_maps(network: HandSegNet, card: WeightsCard, image: np.ndarray) -> Hand
         card: what it expects.
         image: (H, W, 3) uint8 RGB.
     """
-    fitted = cache(lambda size: letterbox(image, size))
+    fitted = cache(lambda size: letterbox(image, canvas_size(image.shape[:2], size)))
 
     def seen(view: PictureView) -> tuple[np.ndarray, np.ndarray]:
         canvas, place = fitted(view.size)
@@ -60,16 +77,68 @@ def hand_maps(network: HandSegNet, card: WeightsCard, image: np.ndarray) -> Hand
             seg_logits, energy_logits = unmirrored(seg_logits, energy_logits)
         return place.content(seg_logits), place.content(energy_logits)
 
-    def scored(maps: tuple[np.ndarray, ...]) -> HandMaps:
-        seg_logits, energies = maps[0], probability(maps[1])
-        return HandMaps(seg_logits, energies, hand_scores(energies, seg_logits))
-
     first = seen(PictureView(card.seg_input_size))
-    found = scored(first)
+    found = scored(*first)
     low, high = card.views.tta_score_range
     if card.views.tta_views and ((found.scores > low) & (found.scores < high)).any():
-        return scored(mean_of_views([first, *map(seen, card.views.tta_views)]))
+        return scored(*mean_of_views([first, *map(seen, card.views.tta_views)]))
     return found
+
+
+def scored(seg_logits: np.ndarray, energy_logits: np.ndarray) -> HandMaps:
+    """Maps with their scores, of logits (3, h, w) and (2, h, w)."""
+    energies = probability(energy_logits)
+    return HandMaps(seg_logits, energies, hand_scores(energies, seg_logits))
+
+
+def closer_part(maps: HandMaps, image_size: tuple[int, int], views: ViewConfig) -> tuple[slice, slice] | None:
+    """The part of a picture that shows hands and arms with some room around them.
+
+    Args:
+        maps: of the whole picture.
+        image_size: (H, W).
+        views: how likely a pixel must be an arm's, how much room there is, and how small the part must be.
+
+    Returns:
+        Rows and columns; None where nothing is found, or the part is so large that it would gain little.
+    """
+    lead = np.max(maps.seg_logits[1:], axis=0) - maps.seg_logits[0]
+    likely = cv2.morphologyEx((lead > views.closer_lead).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    if not likely.any():
+        return None
+    part, share = [], 1.0
+    for axis, full in enumerate(image_size):
+        cells = np.flatnonzero(likely.any(axis=1 - axis))
+        low, high = cells[0] / likely.shape[axis], (cells[-1] + 1) / likely.shape[axis]
+        reach = max(views.closer_margin * (high - low), views.closer_smallest) / 2
+        start, stop = ((low + high) / 2 - reach) * full, ((low + high) / 2 + reach) * full
+        part.append(slice(max(0, round(start)), min(full, round(stop))))
+        share *= (part[-1].stop - part[-1].start) / full
+    return (part[0], part[1]) if share < views.closer_below_share else None
+
+
+def with_part(maps: HandMaps, closer: HandMaps, part: tuple[slice, slice], image_size: tuple[int, int]) -> HandMaps:
+    """Maps of a picture in which a part was seen closer: these within it, at their resolution, and the first around.
+
+    Args:
+        maps, closer: of the whole picture, and of the part.
+        part: rows and columns of the picture.
+        image_size: (H, W) of the picture.
+    """
+    fine, size, where = closer.energies.shape[1:], [], []
+    for cut, cells, full in zip(part, fine, image_size, strict=True):
+        scale = cells / (cut.stop - cut.start)
+        size.append(max(cells, round(full * scale)))
+        start = min(round(cut.start * scale), size[-1] - cells)
+        where.append(slice(start, start + cells))
+
+    def merged(whole: np.ndarray, detail: np.ndarray) -> np.ndarray:
+        planes = np.stack([cv2.resize(np.ascontiguousarray(plane), size[::-1]) for plane in whole])
+        planes[:, where[0], where[1]] = detail
+        return planes
+
+    seg_logits, energies = merged(maps.seg_logits, closer.seg_logits), merged(maps.energies, closer.energies)
+    return HandMaps(seg_logits, energies, hand_scores(energies, seg_logits))
 
 
 def candidate_boxes(

@@ -8,8 +8,16 @@ from typing import cast
 
 import numpy as np
 import torch
+from torch import Tensor
 
-from twohands.geometry.segmentation import boxes_from_energy, hand_scores, letterbox, masks_from_logits, network_input
+from twohands.geometry.segmentation import (
+    boxes_from_energy,
+    canvas_size,
+    hand_scores,
+    letterbox,
+    masks_from_logits,
+    network_input,
+)
 from twohands.models.blocks import fold_batch_norm
 from twohands.models.checkpoint import load_network
 from twohands.models.hand_seg_net import HandSegNetConfig
@@ -48,20 +56,28 @@ class Segmenter:
     @torch.inference_mode()
     def __call__(self, images: Sequence[np.ndarray]) -> list[Segmentation]:
         """Masks and boxes, see `Segment`."""
-        canvases, places = zip(*(letterbox(image, self.size) for image in images), strict=True)
-        inputs = torch.from_numpy(network_input(np.stack(canvases))).contiguous(memory_format=torch.channels_last)
+        found: dict[int, Segmentation] = {}
+        forms = [canvas_size(image.shape[:2], self.size) for image in images]
+        for form in set(forms):
+            rows = [i for i, own in enumerate(forms) if own == form]
+            canvases, places = zip(*(letterbox(images[i], form) for i in rows), strict=True)
+            logits, energies = self._maps(np.stack(canvases))
+            for k, i in enumerate(rows):
+                seg_logits, energy = places[k].content(logits[k]), places[k].content(energies[k])
+                found[i] = segmentation_of(seg_logits, energy, hand_scores(energy, seg_logits), images[i].shape[:2])
+        return [found[i] for i in range(len(images))]
+
+    def _maps(self, canvases: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Logits of masks (B, 3, h, w) and energies (B, 2, h, w), 0..1, of inputs (B, h, w, 3) uint8."""
+        inputs = torch.from_numpy(network_input(canvases)).contiguous(memory_format=torch.channels_last)
         with torch.autocast(self.device, torch.bfloat16):
             logits, energies = self.net(inputs.to(self.device))
-        # Back to one plane after the other: reductions over planes of interleaved channels are slow.
-        logits, energies = (
-            np.ascontiguousarray(m.float().cpu().numpy()) for m in (logits, torch.sigmoid(energies.float()))
-        )
-        found = []
-        for i, image in enumerate(images):
-            seg_logits, energy = places[i].content(logits[i]), places[i].content(energies[i])
-            scores = hand_scores(energy, seg_logits)
-            found.append(segmentation_of(seg_logits, energy, scores, image.shape[:2]))
-        return found
+        return _planes(logits), _planes(torch.sigmoid(energies.float()))
+
+
+def _planes(maps: Tensor) -> np.ndarray:
+    """One plane after the other: reductions over planes of interleaved channels are slow."""
+    return np.ascontiguousarray(maps.float().cpu().numpy())
 
 
 def segmentation_of(
