@@ -278,7 +278,7 @@ def ablations(complete: TruthfulEstimator, floating: Networks | None) -> list[Ab
             places,
         ),
         Ablation(
-            "Joints drawn to their lines of sight",
+            "Joints pulled to their lines of sight",
             "Ours: PoseNet2D's joints correct PoseNet3D's across the line of sight, by so much. The paper: not at all.",
             {
                 "0": TruthfulEstimator(pulling(networks, card, 0.0)),
@@ -287,8 +287,8 @@ def ablations(complete: TruthfulEstimator, floating: Networks | None) -> list[Ab
             },
         ),
         Ablation(
-            "Second look",
-            "Ours: PoseNet2D looks again where HandSegNet's box and that of the joints differ. The paper looks once.",
+            "Second crop",
+            "Ours: PoseNet2D sees a hand again where HandSegNet's box and that of the joints differ. Paper: one crop.",
             {
                 "never": TruthfulEstimator(viewing(networks, card, recrop_below_iou=0.0)),
                 f"overlap below {views.recrop_below_iou:g}": complete,
@@ -296,8 +296,8 @@ def ablations(complete: TruthfulEstimator, floating: Networks | None) -> list[Ab
             },
         ),
         Ablation(
-            "More looks at the picture",
-            "Ours: in doubt, HandSegNet looks at the picture again. The paper looks once.",
+            "More views of the picture",
+            "Ours: where it is uncertain, HandSegNet sees the picture again. The paper: one view.",
             {
                 "never": TruthfulEstimator(viewing(networks, card, tta_views=())),
                 f"a score between {low:g} and {high:g}: {in_words(views.tta_views)}": complete,
@@ -308,8 +308,8 @@ def ablations(complete: TruthfulEstimator, floating: Networks | None) -> list[Ab
             },
         ),
         Ablation(
-            "More looks at a hand",
-            "By the pose networks, as cameras see it that are rolled so far; the median counts. The paper looks once.",
+            "More views of a hand",
+            "By the pose networks, as cameras see it that are rolled so far; the median counts. The paper: one view.",
             {
                 name: complete
                 if rolls == views.tta_rolls_deg
@@ -322,7 +322,7 @@ def ablations(complete: TruthfulEstimator, floating: Networks | None) -> list[Ab
         silent = HandEstimator(networks, dataclasses.replace(card, hand_logit=False))
         found.append(
             Ablation(
-                "Judge",
+                "Hand classifier",
                 "Ours: PoseNet2D says whether a crop shows a hand of its side. Without: HandSegNet's word is taken.",
                 {"off": TruthfulEstimator(silent), "on": complete},
             )

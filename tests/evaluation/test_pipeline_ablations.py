@@ -181,10 +181,10 @@ def test_tables_are_left_out_where_the_weights_do_not_have_it():
         assert all(sum(variant.estimator.card == card for variant in a.variants.values()) >= 1 for a in found)
         return [ablation.title for ablation in found]
 
-    looks = ["Second look", "More looks at the picture", "More looks at a hand"]
-    always = ["Read-out of the heatmaps", "The root's place", "Joints drawn to their lines of sight", *looks]
+    views = ["Second crop", "More views of the picture", "More views of a hand"]
+    always = ["Read-out of the heatmaps", "The root's place", "Joints pulled to their lines of sight", *views]
     assert titles(CARD) == always
-    assert titles(make_card(hand_logit=True)) == [*always, "Judge"]
+    assert titles(make_card(hand_logit=True)) == [*always, "Hand classifier"]
     assert titles(CARD, dataclasses.replace(UNUSED, runtime="float")) == [*always, "Arithmetic"]
 
 
@@ -243,7 +243,7 @@ def test_the_command(tmp_path, capsys):
     assert content["dynamic"] == "dynamic, 3 pictures with 6 hands"
     titles = [table["title"] for table in content["tables"]]
     assert [line[3:] for line in text.splitlines() if line.startswith("## ")] == titles
-    assert "Judge" not in titles and "Arithmetic" not in titles and titles[-1] == "Smoothing over video"
+    assert "Hand classifier" not in titles and "Arithmetic" not in titles and titles[-1] == "Smoothing over video"
 
     report = str(tmp_path / "report.json")
     assert twohands(["eval", "run", folders[0], *folders[3:], "--count", "3", "--report", report]) == 0
