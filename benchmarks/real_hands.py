@@ -52,8 +52,7 @@ PHOTO_FOV = 60.0
 """Horizontal field of view that is assumed for photographs, degrees."""
 ABOUT = (
     "What these pictures are: [evaluation.md](../evaluation.md#real-photographs). No network was trained on them; the "
-    "crops had a say in the choice of `mirror_below_logit`, `merged_seg_weight` and `apart_distance` and in where "
-    "`provisional_logit` counts (`inference.decision`), and in that of a constant in the judge of `accurate`."
+    "crops had a say in that of a constant in the judge of `accurate`, and in none of the decision's weights."
 )
 SHEET_COLUMNS = 5
 SHEET_TILES = 25

@@ -13,14 +13,17 @@ from twohands.geometry.boxes import apply_homography, box_from_points
 from twohands.geometry.canonical import canonical_from_camera
 from twohands.geometry.heatmaps import encode_energy, encode_heatmaps
 from twohands.geometry.segmentation import network_input
-from twohands.inference.decision import PictureView, PlacementConfig, ViewConfig
+from twohands.inference.decision import DecisionConfig, PictureView, PlacementConfig, ViewConfig
 from twohands.inference.engine import Networks
 from twohands.inference.estimator import HandEstimator
 from twohands.inference.stages import StageTruth
 from twohands.inference.weights import WeightsCard
 from twohands.types import HandCrop, HandSample
 
-CONFIGS = {"views": ViewConfig, "placement": PlacementConfig}
+CONFIGS = {"views": ViewConfig, "decision": DecisionConfig, "placement": PlacementConfig}
+FIRST = {"pose": 1.0, "energy": 0.3, "swapped": -1.0, "merged_pose": 1.0, "both_in_one_place": -1.0}
+LAST = {"first": 1.0, "joints": 10.0}
+"""A decision by hand, for networks that speak the truth."""
 
 
 def drawn_hands(seed: int, **options) -> HandSample:
@@ -29,7 +32,7 @@ def drawn_hands(seed: int, **options) -> HandSample:
 
 
 def make_card(**changes) -> WeightsCard:
-    """A card for small maps; `changes` are fields of `WeightsCard`, `ViewConfig` or `PlacementConfig`."""
+    """A card for small maps; `changes` are fields of `WeightsCard` or of its three records."""
     values = {
         "name": "oracle",
         "seg_input_size": (135, 240),
@@ -38,6 +41,7 @@ def make_card(**changes) -> WeightsCard:
         "crop_margin": 1.5,
         "heatmap_decode": "subpixel",
         "views": {"tta_views": (PictureView((135, 240), mirrored=True),)},
+        "decision": {"first": FIRST, "last": LAST},
         "placement": {},
     }
     for name, value in changes.items():

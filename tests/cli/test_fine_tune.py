@@ -6,6 +6,7 @@ import pytest
 
 from twohands.cli.demo import examples_folder
 from twohands.cli.main import main
+from twohands.inference.weights import WeightsCard, preset_folder, read_card
 
 CAMERA = {"fx": 520, "fy": 520, "cx": 330, "cy": 235, "width": 640, "height": 480}
 
@@ -67,6 +68,7 @@ def test_from_a_camera_file_to_tracked_pictures(camera, tmp_path, capsys):
     card = json.loads((out / "card.json").read_text())
     assert card["name"] == "mine" and card["fine_tuned_from"] == "fast"
     assert card["placement"]["range_errors"] == [0.046, 0.143]
+    assert WeightsCard.from_dict(card).decision == read_card(preset_folder("fast")).decision
     assert set(card["int8"]) == {"hand_seg_net", "pose_net_2d"}
     assert card["training"]["pose_net_3d"]["iterations"] == 2
     assert str(tmp_path) not in (out / "card.json").read_text()

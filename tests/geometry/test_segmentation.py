@@ -18,6 +18,8 @@ from twohands.geometry.segmentation import (
     mean_of_views,
     network_input,
     otsu_threshold,
+    parted_boxes,
+    parted_masks,
     unmirrored,
 )
 
@@ -255,3 +257,42 @@ def test_no_input_shows_a_picture_smaller_or_has_more_cells(picture):
     form = canvas_size(picture, own)
     assert form[0] % 32 == form[1] % 32 == 0 and form[0] * form[1] <= own[0] * own[1]
     assert min(form[0] / picture[0], form[1] / picture[1]) >= min(own[0] / picture[0], own[1] / picture[1])
+
+
+def two_places(left, right):
+    """Energies (2, 6, 16) with two places, each as sure as given as LEFT and as RIGHT."""
+    energies = np.full((2, 6, 16), 0.01)
+    for place, columns in ((left, slice(1, 5)), (right, slice(10, 14))):
+        for side, sure in enumerate(place):
+            energies[side, 1:5, columns] = sure
+    return energies
+
+
+def test_hands_seen_but_not_whose_become_candidates_in_two_places():
+    """Both sides' energies are highest on the right, which is rather the left hand's place than the other one is."""
+    energies = two_places((0.6, 0.5), (0.9, 0.7))
+    found = boxes_from_energy(energies, (60, 160), np.array([0.8, 0.7]), threshold=0.03)
+    parted = parted_boxes(found, energies, (60, 160), 0.03, 0.4)
+    assert parted.parted and parted.present.all()
+    np.testing.assert_allclose(parted.boxes_px, [[100, 10, 140, 50], [10, 10, 50, 50]])
+    mirrored = energies[::-1, :, ::-1]
+    again = boxes_from_energy(mirrored, (60, 160), np.array([0.7, 0.8]), threshold=0.03)
+    flipped = parted_boxes(again, mirrored, (60, 160), 0.03, 0.4).boxes_px
+    np.testing.assert_allclose(flipped, [[110, 10, 150, 50], [20, 10, 60, 50]])
+
+
+def test_candidates_in_two_places_or_in_the_only_one_stay():
+    apart = two_places((0.9, 0.1), (0.1, 0.9))
+    found = boxes_from_energy(apart, (60, 160), np.array([0.8, 0.8]), threshold=0.03)
+    assert parted_boxes(found, apart, (60, 160), 0.03, 0.4) is found
+    one = two_places((0.9, 0.8), (0.01, 0.01))
+    found = boxes_from_energy(one, (60, 160), np.array([0.8, 0.8]), threshold=0.03)
+    assert parted_boxes(found, one, (60, 160), 0.03, 0.4) is found
+
+
+def test_masks_follow_parted_boxes_regions_whole_where_only_one_box_touches_them():
+    masks = np.array([[1, 2, 3, 0, 2, 1, 0], [0, 0, 2, 0, 0, 4, 0]], np.uint8)
+    boxes_px = np.array([[4.0, 0, 6, 1], [0, 0, 2, 1]])
+    parted = parted_masks(masks, boxes_px)
+    assert parted.tolist() == [[2, 2, 4, 0, 1, 1, 0], [0, 0, 2, 0, 0, 3, 0]]
+    assert masks[0, 0] == 1

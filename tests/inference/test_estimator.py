@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 from tests.oracles import (
+    FIRST,
     UNUSED,
     Oracle,
     drawn_hands,
@@ -199,24 +200,14 @@ def test_true_presence_overrules_a_low_score_but_the_box_is_still_estimated():
     np.testing.assert_allclose(told.boxes_px[LEFT], true_boxes(sample)[LEFT], atol=6)
 
 
-def test_a_hand_of_the_frame_before_is_looked_for_where_it_is_seen_but_faintly():
+def test_a_hand_of_the_frame_before_needs_less_evidence_and_a_new_one_more():
     sample = drawn_hands(5, present=(True, False))
-    oracle = Oracle(sample, make_card(hand_logit=True))
+    oracle = Oracle(sample, make_card(hand_logit=True, first=FIRST | {"was_present": 3.0}, last={"first": 1.0}))
 
-    def faint(batch):
-        seg_logits, energy_logits = oracle.hand_seg_net(batch)
-        energy = 0.02 / (1 + np.exp(-energy_logits))
-        return seg_logits / 20, np.log(energy / (1 - energy))
+    def unsure(crops):
+        return oracle.true_maps(crops), np.array([-3.0 if crop.side == LEFT else -9.0 for crop in crops])
 
-    def sure(batch):
-        return oracle.true_maps(crops), np.full(len(batch), 12.0)
-
-    networks = dataclasses.replace(oracle.estimator.networks, hand_seg_net=faint, pose_net_2d=sure)
-    networks = dataclasses.replace(networks, pose_net_3d=lambda maps: oracle.canonical[:1].astype(np.float32))
-    estimator = HandEstimator(networks, oracle.card)
-    masks, boxes = estimator.segment(sample.image, was_present=np.array([True, True]))
-    assert boxes.present.tolist() == [True, False]
-    crops = [estimator.stages.crop(sample.image, masks, boxes.boxes_px[LEFT], LEFT, sample.camera)]
+    estimator = restaged(judging(oracle, oracle.hand_seg_net), locate=unsure)
     unknown = estimator.estimate(sample.image, sample.camera)
     absent, present = (
         dataclasses.replace(unknown, left=HandPose(present=there), right=HandPose(present=False))
@@ -225,6 +216,14 @@ def test_a_hand_of_the_frame_before_is_looked_for_where_it_is_seen_but_faintly()
     found = [estimator.estimate(sample.image, sample.camera, previous=pose) for pose in (None, absent, present)]
     assert [pose.left.present for pose in found] == [False, False, True]
     assert not any(pose.right.present for pose in found)
+
+
+def test_without_a_fitted_decision_the_first_network_decides_alone():
+    sample = drawn_hands(2)
+    oracle = Oracle(sample, make_card(hand_logit=True, first={}))
+    pose = oracle.estimator.estimate(sample.image, sample.camera, HAND_LENGTH_M)
+    assert pose.left.present and pose.right.present
+    assert oracle.calls == ["hand_seg_net", "pose_net_2d", "pose_net_3d"]
 
 
 def test_in_doubt_both_the_picture_and_its_mirror_image_count():

@@ -85,8 +85,9 @@ def fine_tune(
             report=lambda line: print(line, flush=True),
         )
         checkpoints |= result.checkpoints
-    errors = read_card(preset_folder(DEFAULT_PRESET)).placement.range_errors
-    further = {"fine_tuned_from": DEFAULT_PRESET, "placement": {"range_errors": errors}}
+    shipped = read_card(preset_folder(DEFAULT_PRESET))
+    placement, decision = {"range_errors": shipped.placement.range_errors}, shipped.settings()["decision"]
+    further = {"fine_tuned_from": DEFAULT_PRESET, "placement": placement, "decision": decision}
     export_preset(checkpoints, out, name=out.resolve().name, further=further)
     add_int8(out, (source[i] for i in range(min(CALIBRATION_PICTURES, len(source)))))
     folder = f"./{out}" if str(out) in preset_names() else out  # the name alone is that of shipped weights

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from twohands.geometry.boxes import box_from_points
+from twohands.geometry.boxes import box_from_points, box_iou
 
 Floats = NDArray[np.floating]
 PRESENCE_THRESHOLD = 0.6
@@ -63,6 +63,24 @@ class Letterbox:
 
 
 @dataclass(frozen=True, slots=True)
+class BoxEvidence:
+    """What HandSegNet's maps say of either side inside each of two boxes, 0 for a box that is missing.
+
+    Attributes:
+        energy: (side, box) log-odds of the side's energy where it is highest in the box.
+        lead: (side, box) the side's lead, in logits, over the next class where it is largest in the box.
+        share: (side, box) 0..1, share of the box that the side has in the masks.
+        arm: (box, 2) from the box's middle to that of the arm outside it, pixels (u, v) as a share of the box's longer
+            side; 0 where no arm is seen.
+    """
+
+    energy: np.ndarray
+    lead: np.ndarray
+    share: np.ndarray
+    arm: np.ndarray
+
+
+@dataclass(frozen=True, slots=True)
 class HandBoxes:
     """Detection of both hands.
 
@@ -70,11 +88,15 @@ class HandBoxes:
         boxes_px: (2, 4) u0, v0, u1, v1 in pixels of the picture; NaN for an absent hand.
         present: (2,) bool.
         scores: (2,) how sure it is that each hand is there, 0..1.
+        evidence: what the maps say in these boxes; None where no maps were read.
+        parted: whether one side's map shows both hands (`parted_boxes`), so that the masks do not tell them apart.
     """
 
     boxes_px: np.ndarray
     present: np.ndarray
     scores: np.ndarray
+    evidence: BoxEvidence | None = None
+    parted: bool = False
 
 
 def canvas_size(image_size: tuple[int, int], network_size: tuple[int, int]) -> tuple[int, int]:
@@ -204,16 +226,18 @@ def energy_box(energy: np.ndarray) -> np.ndarray | None:
     Source: paper section 4.1. The opening and the choice of the largest component are ours: a second blob,
     usually the other hand's, would stretch the box over both.
     """
+    stats = _blobs(energy)
+    return stats[np.argmax(stats[:, 4]), :4] if len(stats) else None
+
+
+def _blobs(energy: np.ndarray) -> np.ndarray:
+    """(N, 5) float64 u0, v0, u1, v1 in map cells and area of the components above Otsu's threshold, opened."""
     _, mask = _foreground(energy)
     side = 2 * round((OPENING_SIZE * energy.shape[1] / REFERENCE_WIDTH - 1) / 2) + 1
     if side > 1:
         mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((side, side), np.uint8))
-    count, _, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
-    if count < 2:
-        return None
-    largest = 1 + int(np.argmax(np.asarray(stats)[1:, cv2.CC_STAT_AREA]))
-    left, top, width, height = (int(value) for value in np.asarray(stats)[largest, :4])
-    return np.array([left, top, left + width, top + height], np.float64)
+    stats = np.asarray(cv2.connectedComponentsWithStats(mask, connectivity=8)[2], np.float64)[1:]
+    return np.concatenate([stats[:, :2], stats[:, :2] + stats[:, 2:4], stats[:, 4:]], axis=1)
 
 
 def log_odds(probabilities: np.ndarray) -> np.ndarray:
@@ -303,6 +327,114 @@ def boxes_from_energy(
             boxes_px[side] = box * cell_px
     found = np.asarray(np.isfinite(boxes_px).all(axis=1))
     return HandBoxes(boxes_px, found, scores)
+
+
+def parted_boxes(
+    boxes: HandBoxes, energies: np.ndarray, image_size: tuple[int, int], threshold: float, same_place_iou: float
+) -> HandBoxes:
+    """Candidates in two places where both sides' energies are highest in one: HandSegNet sees hands, and not whose.
+
+    Args:
+        boxes: of either or both sides.
+        energies: (2, h, w) for LEFT and RIGHT, 0..1, covering the whole picture.
+        image_size: (H, W) of the picture.
+        threshold: energy that another place must reach.
+        same_place_iou: boxes that overlap so much or more are in one place.
+
+    Returns:
+        The same where the boxes are in two places, or there is no other place; else the box of the surer side and that
+        of the largest other place, given to the sides in the order that the energies favour.
+    """
+    there = np.flatnonzero(boxes.present)
+    if not len(there) or (len(there) == 2 and box_iou(*boxes.boxes_px) < same_place_iou):
+        return boxes
+    first_px = boxes.boxes_px[there[np.argmax(boxes.scores[there])]]
+    cell_px = np.array([image_size[1] / energies.shape[2], image_size[0] / energies.shape[1]] * 2)
+    blobs = _blobs(energies.max(axis=0))
+    peaks = np.zeros((len(blobs), 2))
+    for number, blob in enumerate(blobs):
+        rows, columns = _cells(blob[:4] * cell_px, image_size, energies.shape[1:])
+        peaks[number] = energies[:, rows, columns].max(axis=(1, 2))
+    apart = np.array([_overlap_share(blob[:4] * cell_px, first_px) < same_place_iou for blob in blobs], bool)
+    others = np.flatnonzero(apart & (peaks.max(axis=1) >= threshold))
+    if not len(others):
+        return boxes
+    other = others[np.argmax(blobs[others, 4])]
+    rows, columns = _cells(first_px, image_size, energies.shape[1:])
+    first = log_odds(energies[:, rows, columns].max(axis=(1, 2)))
+    lead = (first - log_odds(peaks[other])) @ [1.0, -1.0]  # of the first place as the left hand
+    if lead == 0:  # then the one further to the left in the picture, which a mirror image turns round
+        lead = float(blobs[other, 0] * cell_px[0] - first_px[0])
+    pair = [first_px, blobs[other, :4] * cell_px]
+    return HandBoxes(np.array(pair if lead > 0 else pair[::-1]), np.array([True, True]), boxes.scores, parted=True)
+
+
+def parted_masks(masks: np.ndarray, boxes_px: np.ndarray) -> np.ndarray:
+    """Masks in which every hand's pixels belong to the candidate in whose box they, or all else of their region, are.
+
+    Args:
+        masks: (H, W) uint8, as `masks_from_logits` gives them.
+        boxes_px: (2, 4) u0, v0, u1, v1 of both candidates.
+    """
+    size = masks.shape[0], masks.shape[1]
+    regions = np.asarray(cv2.connectedComponents((masks > 0).astype(np.uint8), connectivity=8)[1])
+    boxes = [_cells(box_px, size, size) for box_px in boxes_px]
+    touched = [np.setdiff1d(regions[cells], [0]) for cells in boxes]
+    parted, perhaps = masks.copy(), masks > UNCERTAIN
+    for candidate, cells in enumerate(boxes):
+        mine = np.isin(regions, np.setdiff1d(touched[candidate], touched[1 - candidate]))
+        mine[cells] |= masks[cells] > 0
+        parted[mine] = np.where(perhaps[mine], 1 + candidate + UNCERTAIN, 1 + candidate)
+    return parted
+
+
+def _overlap_share(box: np.ndarray, other: np.ndarray) -> float:
+    """Share of the smaller of two boxes that lies in the other one."""
+    sides = np.minimum(box[2:], other[2:]) - np.maximum(box[:2], other[:2])
+    areas = [(one[2:] - one[:2]).prod() for one in (box, other)]
+    return float(np.maximum(sides, 0).prod() / max(min(areas), 1e-9))
+
+
+def box_evidence(
+    energies: np.ndarray, seg_logits: np.ndarray, boxes_px: np.ndarray, image_size: tuple[int, int]
+) -> BoxEvidence:
+    """What both sides' maps say inside each box: HandSegNet may have found a hand as the wrong one.
+
+    Args:
+        energies: (2, h, w) for LEFT and RIGHT, 0..1, covering the whole picture.
+        seg_logits: (3, h', w') for background, left, right.
+        boxes_px: (2, 4) u0, v0, u1, v1; NaN for one that is missing.
+        image_size: (H, W) of the picture.
+    """
+    planes = np.asarray(seg_logits, np.float32)
+    leads = np.stack([planes[1 + side] - np.maximum(planes[0], planes[2 - side]) for side in (0, 1)])
+    energy, lead, share, arm = np.zeros((4, 2, 2))
+    regions = np.asarray(cv2.connectedComponents((leads.max(axis=0) > 0).astype(np.uint8), connectivity=8)[1])
+    cell_px = np.array([image_size[1] / planes.shape[2], image_size[0] / planes.shape[1]])
+    for box in np.flatnonzero(np.isfinite(boxes_px).all(axis=1)):
+        rows, columns = _cells(boxes_px[box], image_size, energies.shape[1:])
+        energy[:, box] = log_odds(energies[:, rows, columns].max(axis=(1, 2)))
+        cells = rows, columns = _cells(boxes_px[box], image_size, planes.shape[1:])
+        inside = leads[:, rows, columns]
+        lead[:, box], share[:, box] = inside.max(axis=(1, 2)), (inside > 0).mean(axis=(1, 2))
+        outside = np.isin(regions, np.setdiff1d(regions[cells], [0]))
+        outside[cells] = False
+        rows, columns = np.nonzero(outside)
+        if len(rows):
+            middle_px = (boxes_px[box, :2] + boxes_px[box, 2:]) / 2
+            away_px = (np.array([columns.mean(), rows.mean()]) + 0.5) * cell_px - middle_px
+            arm[box] = away_px / (boxes_px[box, 2:] - boxes_px[box, :2]).max()
+    return BoxEvidence(energy, lead, share, arm)
+
+
+def _cells(box_px: np.ndarray, image_size: tuple[int, int], map_size: tuple[int, ...]) -> tuple[slice, slice]:
+    """Rows and columns of a map that a box touches, at least one of each."""
+    spans: list[slice] = []
+    for axis in (0, 1):
+        scale, last = map_size[axis] / image_size[axis], map_size[axis] - 1
+        first = min(max(int(box_px[1 - axis] * scale), 0), last)
+        spans.append(slice(first, max(first + 1, int(np.ceil(box_px[3 - axis] * scale)))))
+    return spans[0], spans[1]
 
 
 def as_one_hand(masks: np.ndarray, boxes_px: np.ndarray, side: int) -> tuple[np.ndarray, np.ndarray]:

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
-from typing import Any, TypeVar
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Final, TypeVar
 
 from twohands.errors import CheckpointError
 from twohands.geometry.projection import FINGER_WEIGHT, FIT_TOLERANCE, LEAST_SCORE, ROOT_WEIGHT
@@ -77,70 +77,54 @@ class ViewConfig:
             raise CheckpointError(f"card: views.tta_rolls_deg must be angles, got {list(self.tta_rolls_deg)}")
 
 
+FIRST_FEATURES: Final = (
+    *("hand", "swapped", "energy", "energy_other", "lead", "lead_other", "share"),
+    *("pose", "pose_contrast", "mirror_unseen", "joints", "joints_contrast"),
+    *("size", "arm_outside", "arm_below", "arm_outside_below", "outside", "was_present", "held", "held_other"),
+    *("merged", "merged_energy", "merged_share", "merged_pose", "merged_pose_contrast", "merged_joints"),
+    *("merged_size", "both", "both_near", "both_in_one_place", "both_overlap", "both_uncrossed", "both_weaker"),
+)
+"""What the first decision weighs; `handedness.first_features` says what each is."""
+LAST_FEATURES: Final = ("hand", "first", "pose", "joints", "size", "swapped", "both", "both_near")
+"""What the last decision weighs; `handedness.last_features` says what each is."""
+
+
 @dataclass(frozen=True, slots=True)
 class DecisionConfig:
-    """Which hands are there, and whose: the rules of `inference.handedness`. A "logit" is log-odds."""
+    """Which hands are there, and whose (`inference.handedness`). A "logit" is log-odds.
 
+    Raises:
+        CheckpointError: a weight of no feature, or one that is not finite.
+    """
+
+    first: Mapping[str, float] = field(default_factory=dict)
+    """Weight of every feature of `FIRST_FEATURES`, 0 for one that is not named; fitted together with those of `last`
+    by scripts/fit_handedness.py. Without any, HandSegNet decides alone."""
+    last: Mapping[str, float] = field(default_factory=dict)
+    """The same of `LAST_FEATURES`, after the last view of a hand."""
+    fit: Mapping[str, Any] = field(default_factory=dict)
+    """How the weights were fitted, for the reader."""
     presence_threshold: float = PRESENCE_THRESHOLD
-    """HandSegNet's score (`geometry.segmentation.hand_scores`) of a hand, where PoseNet2D has no `hand_logit`."""
-    candidate_threshold: float = 0.2
-    """HandSegNet's score from which on PoseNet2D sees a candidate, where it has a `hand_logit`.
-
-    This and the next four were chosen together, with earlier weights, on generated pictures that are neither trained
-    nor tested on, and on the photographs that training puts behind hands; 0.3, as it was then, misses two more of 2,722
-    hands (docs/history/journal.md, *Who shows one hand mostly shows both*).
-    """
-    mirror_below_logit: float = 0.0
-    """`hand_logit` of any candidate below which PoseNet2D sees the mirror images too: at 1 % of the candidates at an
-    egocentric view. Of two candidates at both: 3,072 instead of 3,069 of 3,282 hands are then known for what they are.
-    The real crops had a say in this choice."""
-    seg_weight: float = 0.7
-    """Weight of HandSegNet's log-odds in the decision; PoseNet2D's have the rest. HandSegNet sees the person."""
-    seg_limit: float = 3.0
-    """HandSegNet's log-odds are limited to this size: it may be sure and wrong."""
-    swap_cost: float = 1.0
-    """Log-odds taken off where a hand is on the other side than HandSegNet says: most often it is right."""
-    same_place_distance: float = 0.1
-    """Two candidates that are less than this from each other (`handedness.palm_distance`) are in one place."""
-    same_place_cost: float = 1.0
-    """Log-odds taken off where two hands are in one place: of 58 such pairs in generated pictures 16 were two hands."""
-    merged_seg_weight: float = 0.4
-    """As `seg_weight`, where two candidates in one place are taken for one hand and PoseNet2D sees the whole of it.
-
-    With earlier weights the parts alone told the side of 91 % of 86 such hands in photographs, the whole of 94 %,
-    HandSegNet of 67 %. In generated pictures 0.2 to 0.5 are alike; the photographs had a say in this choice.
-    """
-    apart_distance: float = 0.4
-    """Two candidates at least this far from each other (`handedness.palm_distance`) are not one hand found twice. The
-    real crops had a say in this choice: nearer ones are doubles there more often than in generated pictures."""
-    second_hand_bonus: float = 0.75
-    """Log-odds given to a candidate apart from another that is a hand: who shows one hand mostly shows both. Chosen
-    with `provisional_logit` and `joint_score_middle` on 1,400 pictures of scene style wild, neither trained nor tested
-    on: docs/history/journal.md, *The last word comes last*."""
-    provisional_logit: float = 1.0
-    """Log-odds below 0 down to which a candidate that no other is near may still be taken for a hand by `rescore`,
-    which knows more: it gives a hand of which all is certain 0.9, and takes what PoseNet2D says in a better crop."""
-    joint_score_weight: float = 4.0
-    """Log-odds for the mean score, 0..1, of a hand's joints in the last view of it, less `joint_score_middle`: the
-    joints of what is no hand are nowhere in particular.
-
-    Chosen, with 0.8 in the middle, on 4,384 hands in generated pictures and videos, of which it costs 10 (9 of the 693
-    of scene style wild), and 114 places in photographs and procedural backgrounds that both networks of preset `fast`
-    had taken for hands, of which 67 remain; two videos of the test set gave the idea. 3 to 6 are alike.
-    """
-    joint_score_middle: float = 0.775
-    """Mean score that speaks neither for nor against a hand."""
-    was_present_threshold: float = 0.1
-    """As `candidate_threshold`, for a hand that was there one frame of a video before."""
-    was_present_logit: float = 0.5
-    """Log-odds given to a hand that was there one frame before, and taken off one that was not.
-
-    In 2,100 frames of generated video, not trained or tested on, hands came or went 45 times without and 29 times with
-    it, 20 times in truth: they seldom do; 41 and 33 were missed, 50 and 52 invented. Twice as much keeps hands and
-    clutter alike.
-    """
+    """HandSegNet's score (`geometry.segmentation.hand_scores`) of a hand, where it decides alone."""
+    candidate_threshold: float = 0.03
+    """HandSegNet's score from which on PoseNet2D looks at a candidate: what it does not look at is lost."""
+    mirror_below_logit: float = 3.0
+    """`hand_logit` of any candidate below which PoseNet2D sees the mirror images too."""
+    same_place_iou: float = 0.4
+    """Two candidates whose boxes overlap this much are in one place, and also seen as one hand."""
+    lenience: float = 2.0
+    """Log-odds below 0 down to which the first decision leaves it to the last one whether a candidate is a hand."""
     uncertain_lead: float = UNCERTAIN_LEAD
-    """The background's lead, in logits, below which a pixel is perhaps a hand's."""
+    """The background's lead, in logits, below which a pixel is perhaps a hand's: for masks and crops alone."""
+
+    def __post_init__(self) -> None:
+        for name, known in (("first", FIRST_FEATURES), ("last", LAST_FEATURES)):
+            weights = getattr(self, name)
+            unknown = sorted(set(weights) - set(known))
+            if unknown:
+                raise CheckpointError(f"card: decision.{name} weighs unknown features, {', '.join(unknown)}")
+            if not all(map(math.isfinite, weights.values())):
+                raise CheckpointError(f"card: decision.{name} must hold finite weights")
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,14 +177,16 @@ def overridden(config: Config, values: Mapping[str, Any], section: str) -> Confi
         CheckpointError: an unknown field, or a value that the record refuses.
         TypeError, ValueError: a value that is no number.
     """
-    unknown = sorted(set(values) - {field.name for field in fields(config)})
+    unknown = sorted(set(values) - {known.name for known in fields(config)})
     if unknown:
         raise CheckpointError(f"card: {section} names unknown settings, {', '.join(unknown)}")
-    return replace(config, **{name: _plain(getattr(config, name), value) for name, value in values.items()})
+    return replace(config, **{name: _plain(name, getattr(config, name), value) for name, value in values.items()})
 
 
-def _plain(default: Any, value: Any) -> Any:
-    """A JSON value as the field's kind: a number where the default is one, else a tuple or None."""
+def _plain(name: str, default: Any, value: Any) -> Any:
+    """A JSON value as the field's kind: numbers by name, a number where the default is one, else a tuple or None."""
+    if isinstance(default, Mapping):
+        return dict(value) if name == "fit" else {str(key): float(weight) for key, weight in dict(value).items()}
     if isinstance(default, float):
         number = float(value)
         if math.isnan(number):

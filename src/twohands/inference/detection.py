@@ -12,8 +12,16 @@ from typing import NamedTuple
 import numpy as np
 
 from twohands.geometry.boxes import box_iou
-from twohands.geometry.segmentation import UNCERTAIN, HandBoxes, as_one_hand, log_odds, probability
-from twohands.inference.handedness import Assignment, Candidates, palm_distance, rescore
+from twohands.geometry.segmentation import UNCERTAIN, HandBoxes, as_one_hand, box_evidence, probability
+from twohands.inference.handedness import (
+    Assignment,
+    Before,
+    Evidence,
+    LastLook,
+    box_sizes,
+    palm_distance,
+    rescore,
+)
 from twohands.inference.keypoints import Keypoints, cuttable, joint_boxes, mirror_crop
 from twohands.inference.stages import Stages
 from twohands.inference.weights import WeightsCard
@@ -72,27 +80,28 @@ class HandFinder:
         hands = zip(chosen, sides, strict=True)
         return [self.stages.crop(self.image, masks, box, int(side), self.camera) for box, side in hands]
 
-    def candidates(self, found: Detection, was_present: np.ndarray | None) -> tuple[Candidates, CandidateViews]:
+    def evidence(self, found: Detection, before: Before | None) -> tuple[Evidence, CandidateViews]:
         """What is known of HandSegNet's candidates; PoseNet2D sees them mirrored, or merged, where that may help.
 
         Args:
             found: candidates with keypoints, each as the hand that HandSegNet took it for.
-            was_present: (2,) bool, see `Candidates`.
+            before: the frame before.
         """
         rules, boxes, seen = self.card.decision, found.boxes, found.keypoints
-        own, mirrored = np.full((2, 2), np.nan)
-        own[seen.sides] = seen.hand_logits
+        pose, joints = np.full((2, 2, 2), np.nan)
         alone = {(side, side): seen.rows([i]) for i, side in enumerate(seen.sides)}
         if (seen.hand_logits < rules.mirror_below_logit).any():  # of two, both: they may have been exchanged
             other = self.stages.keypoints([mirror_crop(crop) for crop in seen.crops])
-            mirrored[seen.sides] = other.hand_logits
             alone |= {(1 - side, side): other.rows([i]) for i, side in enumerate(seen.sides)}
+        for where, view in alone.items():
+            pose[where], joints[where] = view.hand_logits[0], view.joint_scores.mean()
         distance = palm_distance(seen.joints_px, boxes.boxes_px) if len(seen.sides) == 2 else math.inf
-        merged = self._merged(found) if distance < rules.same_place_distance else None
-        merged_logits = None if merged is None else merged.hand_logits
-        return Candidates(boxes.scores, own, mirrored, merged_logits, distance, was_present), CandidateViews(
-            alone, merged
-        )
+        merged = self._merged(found) if box_iou(*boxes.boxes_px) >= rules.same_place_iou else None
+        together = (None, None) if merged is None else (merged.hand_logits, merged.joint_scores.mean(axis=-1))
+        maps = boxes.evidence or box_evidence(np.zeros((2, 1, 1)), np.zeros((3, 1, 1)), np.full((2, 4), np.nan), (1, 1))
+        size = self.image.shape[0], self.image.shape[1]
+        known = Evidence(size, boxes.boxes_px, maps, pose, joints, *together, distance, before)
+        return known, CandidateViews(alone, merged)
 
     def assigned(self, found: Detection, assignment: Assignment, views: CandidateViews) -> tuple[Detection, np.ndarray]:
         """The hands that an assignment makes of candidates, with HandSegNet's scores for absent ones; and (B,) bool,
@@ -121,19 +130,26 @@ class HandFinder:
             boxes = joint_boxed(found.boxes, keypoints, self.image.shape[:2], self.card)
         return Detection(found.masks, boxes, keypoints)
 
-    def rescored(self, found: Detection, first_logits: np.ndarray) -> Detection:
-        """The hands that are still ones after the last view of them; `first_logits`, (B,), are those of the first."""
-        sides, last = found.keypoints.sides, found.keypoints
+    def last_look(self, found: Detection, assignment: Assignment) -> LastLook:
+        """What is known of an assignment's hands after the last view of them."""
+        last, sides = found.keypoints, found.keypoints.sides
+        pose, joints, size = np.full((3, 2), np.nan)
+        pose[sides], joints[sides] = last.hand_logits, last.joint_scores.mean(axis=-1)
+        size[sides] = box_sizes(found.boxes.boxes_px[sides], self.image.shape[:2])
+        distance = palm_distance(last.joints_px, found.boxes.boxes_px[sides]) if len(sides) == 2 else math.inf
+        return LastLook(assignment.source, assignment.logits, pose, joints, size, distance)
+
+    def rescored(self, found: Detection, assignment: Assignment) -> Detection:
+        """The hands that are still ones after the last view of them."""
+        kept, logits = rescore(self.last_look(found, assignment), self.card.decision)
+        sides = found.keypoints.sides
         scores = found.boxes.scores.copy()
-        logits = log_odds(scores[sides])
-        logits = rescore(logits, first_logits, last.hand_logits, last.joint_scores, self.card.decision)
-        scores[sides] = probability(logits)
+        scores[sides] = probability(logits[sides])
         found = found._replace(boxes=replace(found.boxes, scores=scores))
-        if (logits > 0).all():
+        if kept[sides].all():
             return found
-        left = last.rows(np.flatnonzero(logits > 0))
-        source = np.where(np.isin([LEFT, RIGHT], left.sides), [LEFT, RIGHT], -1)
-        return Detection(*self._answered(found, source, scores), left)
+        source = np.where(kept, [LEFT, RIGHT], -1)
+        return Detection(*self._answered(found, source, scores), found.keypoints.rows(np.flatnonzero(kept[sides])))
 
     def _merged(self, found: Detection) -> Keypoints:
         """Both candidates as one hand, LEFT and RIGHT."""

@@ -11,10 +11,10 @@ from typing import Final
 
 import numpy as np
 
-from twohands.geometry.segmentation import HandBoxes, certain_masks
+from twohands.geometry.segmentation import HandBoxes, certain_masks, parted_masks
 from twohands.inference.detection import Detection, HandFinder, joint_boxed
 from twohands.inference.engine import Networks, load_networks
-from twohands.inference.handedness import assign_handedness
+from twohands.inference.handedness import Before, assign_handedness
 from twohands.inference.keypoints import given_heatmaps
 from twohands.inference.placement import hand_poses, refine
 from twohands.inference.stages import NO_TRUTH, Stages, StageTruth, check_picture
@@ -71,8 +71,8 @@ class HandEstimator:
                 with it.
             truth: ground truth that replaces stages.
             index, time_s: position in the source, handed through.
-            previous: of a video, what was found one frame before: hands seldom come or go. Only that they were there
-                counts; it needs weights with a hand classifier.
+            previous: of a video, what was found one frame before: hands seldom come or go, or turn into the other one.
+                It counts as much as the card's fitted decision says.
 
         Returns:
             Both hands; an absent hand has `present` False.
@@ -81,25 +81,25 @@ class HandEstimator:
             InputError: image, camera and hand length do not fit together.
         """
         check_picture(image, camera, hand_length_m)
-        was_present = None if previous is None else np.array([hand.present for hand in previous.hands])
-        masks, boxes = self.segment(image, truth, was_present)
+        before = None if previous is None else Before.of(previous)
+        masks, boxes = self.segment(image, truth)
         left, right = HandPose(present=False), HandPose(present=False)
         if boxes.present.any():
-            found = self.find_hands(image, masks, boxes, camera, truth, was_present)
+            found = self.find_hands(image, masks, boxes, camera, truth, before)
             masks = found.masks
             if found.boxes.present.any():
                 left, right = self.place_hands(image, found, camera, hand_length_m, truth)
         return TwoHandPose(left, right, camera, certain_masks(masks), index, time_s)
 
-    def segment(
-        self, image: np.ndarray, truth: StageTruth = NO_TRUTH, was_present: np.ndarray | None = None
-    ) -> tuple[np.ndarray, HandBoxes]:
-        """Stage 1: masks (H, W), and boxes of the candidates; `was_present`, (2,) bool, says what `previous` does."""
+    def segment(self, image: np.ndarray, truth: StageTruth = NO_TRUTH) -> tuple[np.ndarray, HandBoxes]:
+        """Stage 1: masks (H, W), and boxes of the candidates."""
         size, masks, boxes = image.shape[:2], truth.masks, truth.hand_boxes()
         if masks is None or boxes is None:
             maps = self.stages.hand_maps(image)
-            boxes = self.stages.boxes(maps, size, truth.present, was_present) if boxes is None else boxes
-            masks = self.stages.masks(maps, size, boxes.present) if masks is None else masks
+            boxes = self.stages.boxes(maps, size, truth.present) if boxes is None else boxes
+            if masks is None:
+                masks = self.stages.masks(maps, size, boxes.present)
+                masks = parted_masks(masks, boxes.boxes_px) if boxes.parted else masks
         return masks, boxes
 
     def find_hands(
@@ -109,7 +109,7 @@ class HandEstimator:
         boxes: HandBoxes,
         camera: PinholeCamera,
         truth: StageTruth = NO_TRUTH,
-        was_present: np.ndarray | None = None,
+        before: Before | None = None,
     ) -> Detection:
         """Stages 2 and 3: keypoints of every candidate, whose hands they are, and a second crop where it helps. True
         boxes, maps or joints need one crop; a true `present` needs no decision."""
@@ -120,11 +120,12 @@ class HandEstimator:
         found = Detection(masks, boxes, self.stages.keypoints(crops, maps).corrected(truth.joints_px))
         if known_boxes or truth.heatmaps is not None or truth.joints_px is not None:
             return found
-        if truth.present is not None or not self.card.hand_logit:
+        if truth.present is not None or not self.card.decides:
             return finder.recropped(found)
-        candidates, views = finder.candidates(found, was_present)
-        assigned, changed = finder.assigned(found, assign_handedness(candidates, self.card.decision), views)
-        return finder.rescored(finder.recropped(assigned, changed), assigned.keypoints.hand_logits)
+        evidence, views = finder.evidence(found, before)
+        assignment = assign_handedness(evidence, self.card.decision)
+        assigned, changed = finder.assigned(found, assignment, views)
+        return finder.rescored(finder.recropped(assigned, changed), assignment)
 
     def place_hands(
         self,

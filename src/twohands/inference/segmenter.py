@@ -6,6 +6,7 @@ Source: paper section 4.1; test-time augmentation is ours.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from typing import NamedTuple
 
@@ -14,6 +15,7 @@ import numpy as np
 
 from twohands.geometry.segmentation import (
     HandBoxes,
+    box_evidence,
     boxes_from_energy,
     canvas_size,
     hand_scores,
@@ -21,6 +23,7 @@ from twohands.geometry.segmentation import (
     masks_from_logits,
     mean_of_views,
     network_input,
+    parted_boxes,
     probability,
     unmirrored,
 )
@@ -142,26 +145,24 @@ def with_part(maps: HandMaps, closer: HandMaps, part: tuple[slice, slice], image
 
 
 def candidate_boxes(
-    card: WeightsCard,
-    maps: HandMaps,
-    image_size: tuple[int, int],
-    present: np.ndarray | None = None,
-    was_present: np.ndarray | None = None,
+    card: WeightsCard, maps: HandMaps, image_size: tuple[int, int], present: np.ndarray | None = None
 ) -> HandBoxes:
-    """Where hands may be: those found, or, where PoseNet2D has a say later, candidates.
+    """Where hands may be: those found, or, where the card's fitted decision has a say later, candidates.
 
     Args:
         card: of the weights.
         maps: of the picture.
         image_size: (H, W) of the picture.
         present: (2,) bool, the known answer; None to decide by score.
-        was_present: (2,) bool, which hands were there one frame of a video before; None where nothing is known.
     """
     rules = card.decision
-    threshold = np.full(2, rules.candidate_threshold if card.hand_logit else rules.presence_threshold)
-    if card.hand_logit and was_present is not None:
-        threshold = np.where(was_present, rules.was_present_threshold, threshold)
-    return boxes_from_energy(maps.energies, image_size, maps.scores, present, threshold)
+    threshold = rules.candidate_threshold if card.decides else rules.presence_threshold
+    boxes = boxes_from_energy(maps.energies, image_size, maps.scores, present, threshold)
+    if not card.decides:
+        return boxes
+    if present is None:
+        boxes = parted_boxes(boxes, maps.energies, image_size, rules.candidate_threshold, rules.same_place_iou)
+    return replace(boxes, evidence=box_evidence(maps.energies, maps.seg_logits, boxes.boxes_px, image_size))
 
 
 def hand_masks(card: WeightsCard, maps: HandMaps, image_size: tuple[int, int], present: np.ndarray) -> np.ndarray:

@@ -16,6 +16,7 @@ The card holds what inference must know; every other key (recipe, seed, accuracy
       "hand_seg_net": {"input_size": [224, 384], "network_input": "(x - 128) / 256"},
       "pose_net_2d": {"crop_size": 128, "crop_kind": "perspective", "crop_margin": 1.5, "heatmap_decode": "softargmax"},
       "placement": {"range_errors": [0.046, 0.143]},
+      "decision": {"first": {"hand": -1.2, "pose": 0.4, ...}, "last": {"first": 0.6, ...}, "fit": {...}},
       "int8": {"hand_seg_net": {"node_relu": 21.5, ...}, ...}
     }
 
@@ -31,7 +32,8 @@ A preset may take networks of another one; its card names the folder beside its 
     }
 
 "views", "decision" and "placement" override any field of `inference.decision`'s records. Cards of version 1 had four of
-these elsewhere, under other names, and are read as well.
+these elsewhere, under other names, and are read as well. Without weights in "decision" (scripts/fit_handedness.py),
+HandSegNet alone decides which hands are there, and whose.
 """
 
 from __future__ import annotations
@@ -125,6 +127,11 @@ class WeightsCard:
             raise CheckpointError(
                 f"card: pose_net_2d.heatmap_decode must be one of {HEATMAP_DECODERS}, got {self.heatmap_decode!r}"
             )
+
+    @property
+    def decides(self) -> bool:
+        """Whether the decision is fitted to these networks, so that PoseNet2D has a say in which hands are there."""
+        return self.hand_logit and bool(self.decision.first and self.decision.last)
 
     def settings(self) -> dict[str, Any]:
         """Every hand-tuned number, as a card's sections "views", "decision" and "placement" hold them."""
