@@ -59,6 +59,14 @@ def test_a_part_printed_as_lines(clip, weights, tmp_path, capsys):
     assert (tmp_path / "out" / "hands.jsonl").read_text().count("\n") == 4
 
 
+def test_looking_ahead_loses_no_frame(clip, weights, tmp_path):
+    assert run_track(clip, "--out", tmp_path / "out", "--weights", weights, "--look-ahead", 0.2) == 0
+    header, poses = read_clip(tmp_path / "out" / "hands.jsonl")
+    assert header["look_ahead_s"] == 0.2 and [pose.index for pose in poses] == list(range(10))
+    with VideoFrames(tmp_path / "out" / "overlay.mp4") as video:
+        assert len(list(video)) == 10
+
+
 def test_mirrored_frames_are_turned_back(clip, weights, tmp_path, monkeypatch):
     """The white corner of the clip, at its left, is at the right of what is estimated."""
     seen = []
@@ -87,6 +95,7 @@ def test_a_clip_of_another_shape_than_the_camera(clip, weights, tmp_path, capsys
         ("text.mp4", [], "not a video that can be read"),
         ("clip.mp4", ["--start", 3, "--end", 2], "--start and --end"),
         ("clip.mp4", ["--stride", 0], "stride must be at least 1"),
+        ("clip.mp4", ["--look-ahead", -1], "look-ahead must be a positive"),
         ("clip.mp4", ["--out", "."], "is not empty"),
         ("clip.mp4", ["--estimator", "mediapipe", "--peer-python", "/bin/true"], "has no MediaPipe Hands"),
         ("camera:77", [], "no such camera"),

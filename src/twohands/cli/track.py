@@ -23,7 +23,7 @@ import numpy as np
 import tyro
 
 from twohands.cli.output import check_output_folder, write_file
-from twohands.cli.track_clip import ClipJob, check_times, default_out, track_clip
+from twohands.cli.track_clip import ClipJob, check_look_ahead, check_times, default_out, track_clip
 from twohands.errors import InputError, MissingExtraError, TwoHandsError
 from twohands.formats.camera_files import camera_for_image, read_camera
 from twohands.formats.pictures import list_images, look_through, read_image
@@ -81,6 +81,8 @@ class TrackArgs:
     """Video: the frames are mirrored, as webcams show them; they are turned back first."""
     smooth: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True
     """Video: leave ranges as they are estimated, and drop hands the moment they leave the picture."""
+    look_ahead: Annotated[float, option("SECONDS")] = 0.0
+    """Video: so much of what comes after a frame counts for its range as well; less noise and no lag, for files."""
     overlay: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True
     """Video: write no overlay.mp4."""
     estimator: Literal["ours", "mediapipe"] = "ours"
@@ -153,6 +155,7 @@ def run(args: TrackArgs) -> int:
 def _track_clip(args: TrackArgs, camera: PinholeCamera | None, hand_length_m: float) -> int:
     """A video, a stream or a camera."""
     start_s, end_s = check_times(args.start, args.end)
+    look_ahead_s = check_look_ahead(args.look_ahead)
     out = args.out or default_out(args.input)
     check_output_folder(out, overwrite=args.overwrite)
     with ExitStack() as stack:
@@ -173,6 +176,7 @@ def _track_clip(args: TrackArgs, camera: PinholeCamera | None, hand_length_m: fl
             hand_length_m,
             args.mirrored,
             args.smooth,
+            look_ahead_s,
             args.overlay,
             args.json,
             weights,

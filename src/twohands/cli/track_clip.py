@@ -6,6 +6,7 @@ import math
 import os
 import sys
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
@@ -19,6 +20,7 @@ from twohands.errors import InputError
 from twohands.inference.background import Behind, ahead
 from twohands.inference.clip_files import CSV, JSONL, NPZ, ClipFiles
 from twohands.inference.frames import CameraFrames, Frame, VideoFrames
+from twohands.inference.look_ahead import LookAhead
 from twohands.inference.video import VideoEstimator
 from twohands.skeleton import SIDES
 from twohands.types import PinholeCamera, TwoHandPose
@@ -44,6 +46,7 @@ class ClipJob:
         hand_length_m: |wrist - middle knuckle|, metres.
         mirrored: frames are turned back before anything else.
         smooth: smooth ranges, and carry leaving hands on.
+        look_ahead_s: seconds that come after a frame and count for its range; 0 smooths with what was before alone.
         overlay: write the overlay as well.
         lines: print the lines of hands.jsonl.
         weights: what estimates.
@@ -56,6 +59,7 @@ class ClipJob:
     hand_length_m: float
     mirrored: bool
     smooth: bool
+    look_ahead_s: float
     overlay: bool
     lines: bool
     weights: str
@@ -83,7 +87,10 @@ def track_clip(job: ClipJob, frames: VideoFrames | CameraFrames, estimate: Estim
     Returns:
         0, or 1 where no frame could be decoded or used.
     """
-    counts, video = _Counts(), VideoEstimator() if job.smooth else VideoEstimator(None)
+    causal = job.smooth and not job.look_ahead_s
+    counts, video = _Counts(), VideoEstimator() if causal else VideoEstimator(None)
+    smoother = LookAhead(job.look_ahead_s) if job.smooth and job.look_ahead_s else None
+    waiting: deque[np.ndarray] = deque()
     started = time.monotonic()
     with ExitStack() as stack:
         live = isinstance(frames, CameraFrames)
@@ -101,11 +108,16 @@ def track_clip(job: ClipJob, frames: VideoFrames | CameraFrames, estimate: Estim
                 continue
             if writer is None:
                 camera, writer = fitted, _open_writer(stack, job, fitted, frames.rate)
-            writer.put((image, replace(pose, masks=None)))
+            waiting.append(image)
+            for known in [pose] if smoother is None else smoother.push(pose):
+                writer.put((waiting.popleft(), replace(known, masks=None)))
             counts.frames += 1
             for side, hand in enumerate(pose.hands):
                 counts.found[side] += hand.present
             progress(counts.frames)
+        if smoother is not None and writer is not None:
+            for known in smoother.finish():
+                writer.put((waiting.popleft(), replace(known, masks=None)))
     return _report(job, frames, counts, video, time.monotonic() - started)
 
 
@@ -147,7 +159,7 @@ def _open_writer(
             source=job.source,
             weights=job.weights,
             hand_length_m=job.hand_length_m,
-            more=job.more | {"mirrored": job.mirrored, "smoothed": job.smooth},
+            more=job.more | {"mirrored": job.mirrored, "smoothed": job.smooth, "look_ahead_s": job.look_ahead_s},
         )
     )
     movie = None
@@ -217,6 +229,13 @@ def check_times(start: float, end: float | None) -> tuple[float, float]:
     if not (start >= 0 and end_s > start):
         raise InputError(f"--start and --end: 0 <= start < end expected, got {start:g} and {end_s:g} s")
     return start, end_s
+
+
+def check_look_ahead(seconds: float) -> float:
+    """The look-ahead in seconds, checked; 0 for none."""
+    if seconds:
+        LookAhead(seconds)
+    return seconds
 
 
 def say(message: str) -> None:
