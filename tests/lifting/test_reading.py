@@ -256,6 +256,22 @@ def test_files_as_mediapipe_wrote_them():
     assert ranges["legacy"] == pytest.approx(ranges["tasks"], rel=0.25)
 
 
+@pytest.mark.parametrize(
+    "name", ["wilor_mini.json", "hamer.npz", "openpose_keypoints.json", "mmpose_whole_body.json", "rtmlib.json"]
+)
+def test_files_that_are_kept(name):
+    """Files of the drawn hands as each tracker would write them: a reader that changes is seen here."""
+    sample = drawn_hands(1)
+    foreign = read_hands(FILES / name, sample.camera)
+    ours = None if foreign.frames[0].hands[0].joints_3d is not None else [our_pose(sample)]
+    if ours is None:
+        assert_true(placed(foreign, sample), sample)
+        return
+    (pose,) = place_hands(foreign, sample.camera, LENGTH_M * foreign.bone_ratio, poses=ours)
+    for side, hand in enumerate(pose.hands):
+        np.testing.assert_allclose(hand.joints_px, sample.joints_px[side], atol=1e-9)
+
+
 SAMPLE = drawn_hands(1)
 HEADER = b"frame,hand,joint,u_px,v_px,x_m,y_m,z_m\n"
 
