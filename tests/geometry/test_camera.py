@@ -47,7 +47,11 @@ def test_lens_model_is_opencv(to, lens):
     expected = cv2.projectPoints(points, np.zeros(3), np.zeros(3), intrinsics, np.array(lens))[0][:, 0]
     np.testing.assert_allclose(np.asarray(project(to(points), camera, distort=True)), expected, atol=1e-9)
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-14)
-    undone = cv2.undistortPoints(expected[:, None], intrinsics, np.array(lens), criteria=criteria)[:, 0]
+    distorted, lens_model = expected[:, None], np.array(lens)
+    if hasattr(cv2, "undistortPointsIter"):  # its name before OpenCV 5
+        undone = cv2.undistortPointsIter(distorted, intrinsics, lens_model, np.eye(3), np.eye(3), criteria)[:, 0]
+    else:
+        undone = cv2.undistortPoints(distorted, intrinsics, lens_model, criteria=criteria)[:, 0]
     np.testing.assert_allclose(np.asarray(unproject(to(expected), camera))[:, :2], undone, atol=1e-9)
 
 

@@ -1,6 +1,7 @@
 """The overlay: drawn where the hands are, in the hands' colours, and nowhere else."""
 
 import dataclasses
+import tracemalloc
 
 import cv2
 import numpy as np
@@ -10,6 +11,7 @@ from tests.oracles import UNUSED, drawn_hands, full_truth, make_card
 from twohands.inference.estimator import HandEstimator
 from twohands.skeleton import LEFT, RIGHT
 from twohands.types import HandPose, PinholeCamera, TwoHandPose
+from twohands.visualization import overlay
 from twohands.visualization.overlay import draw_overlay
 from twohands.visualization.palette import HAND_COLOURS, finger_colour, joint_colour
 
@@ -131,3 +133,29 @@ def test_hands_and_fingers_differ_in_colour_and_hands_stay_apart_without_red_or_
         assert (np.diff(values) < -10).all()
     left, right = (np.array(colour, float) for colour in HAND_COLOURS)
     assert (left[2] - left[:2].mean()) - (right[2] - right[:2].mean()) > 200
+
+
+@pytest.mark.parametrize("size", [(480, 270), (2400, 1350)])
+def test_tinting_some_rows_at_a_time_changes_no_pixel(size, monkeypatch):
+    sample = drawn_hands(0, width=size[0], height=size[1])
+    pose = pose_of(sample)
+    monkeypatch.setattr(overlay, "_ROWS", 10_000)
+    whole = draw_overlay(sample.image, pose)
+    monkeypatch.setattr(overlay, "_ROWS", 7)
+    np.testing.assert_array_equal(draw_overlay(sample.image, pose), whole)
+
+
+def test_a_telephones_picture_takes_few_bytes_a_pixel():
+    """66 of them, or 3.3 GiB for 50 million pixels, when all of it was tinted at once."""
+    width, height = 4000, 3000
+    masks = np.zeros((height, width), np.uint8)
+    masks[500:2500, 500:1800], masks[500:2500, 2200:3500] = 1, 2
+    pose = TwoHandPose(
+        HandPose(present=False), HandPose(present=False), PinholeCamera.from_fov(60, width, height), masks
+    )
+    image = np.zeros((height, width, 3), np.uint8)
+    tracemalloc.start()
+    draw_overlay(image, pose)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 20 * width * height

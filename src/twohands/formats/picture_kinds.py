@@ -169,6 +169,21 @@ def _tiff_tags(data: bytes) -> dict[int, list[int]] | None:
     return tags
 
 
+def noted_orientation(data: bytes) -> int:
+    """EXIF's number for how the camera of a complete PNG or WebP file was held, 1 to 8; 1 where nothing is noted."""
+    png = data.startswith(b"\x89PNG")
+    at, layout, head, tail = (8, ">I4s", b"eXIf", 4) if png else (12, "<4sI", b"EXIF", 0)
+    while at + 8 <= len(data):
+        fields = struct.unpack_from(layout, data, at)
+        length, kind = fields if png else fields[::-1]
+        if kind == head:
+            tags = _tiff_tags(data[at + 8 : at + 8 + length].removeprefix(b"Exif\0\0")) or {}
+            (orientation, *_) = tags.get(274) or [1]
+            return orientation if 1 <= orientation <= 8 else 1
+        at += 8 + length + tail + (0 if png else length & 1)
+    return 1
+
+
 def _tiff_is_complete(data: bytes) -> bool:
     """The tags of its first picture are there, and all strips or tiles that they announce."""
     tags = _tiff_tags(data)

@@ -22,11 +22,13 @@ from twohands.formats.picture_kinds import (
     HEIC,
     JPEG,
     KINDS,
+    PNG,
     SUFFIXES,
-    TIFF,
+    WEBP,
     PictureKind,
     iso_properties,
     kind_of,
+    noted_orientation,
 )
 
 IMAGE_SUFFIXES: Final = SUFFIXES
@@ -130,17 +132,16 @@ def decode_image(data: bytes) -> np.ndarray:
     if kind is HEIC:
         pixels = _decode_heic(data)
     else:
-        # IMREAD_COLOR applies a camera's orientation and drops transparency, which a BMP may call total without meaning
-        # it. Of TIFF, OpenCV always applies it, of AVIF never.
+        # IMREAD_COLOR turns a JPEG upright and drops transparency, which a BMP may call total without meaning it.
+        # Of TIFF, OpenCV always applies the orientation; of AVIF never; of PNG and WebP not in every version.
         plain = kind in (JPEG, BMP)
         pixels = decode_pixels(data, cv2.IMREAD_COLOR if plain else cv2.IMREAD_UNCHANGED)
-        noted = kind not in (JPEG, BMP, TIFF, AVIF) and (b"eXIf" in data or b"EXIF" in data)
-        if noted and pixels is not None and pixels.shape[2:] != (4,):
-            pixels = decode_pixels(data, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
         if kind is AVIF and pixels is not None and pixels.dtype == np.uint16:  # 10 or 12 bits, not scaled to 16
             pixels = decode_pixels(data, cv2.IMREAD_COLOR)
         if kind is AVIF and pixels is not None:
             pixels = _turned(pixels, iso_properties(data))
+        if kind in (PNG, WEBP) and pixels is not None:
+            pixels = _upright(pixels, noted_orientation(data))
     if pixels is None:
         raise InputError(f"the image is damaged, or a {kind.name} of a kind that cannot be decoded")
     if min(pixels.shape[:2]) < MIN_SIDE:
@@ -246,6 +247,17 @@ def _turned(pixels: np.ndarray, properties: dict[bytes, list[bytes]]) -> np.ndar
         pixels = np.rot90(pixels, note[0] & 3 if note else 0)
     for note in properties.get(b"imir", [])[:1]:
         pixels = np.flip(pixels, axis=note[0] & 1 if note else 0)  # 0: top and bottom change places
+    return np.ascontiguousarray(pixels)
+
+
+def _upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
+    """Pixels as the camera was held, by EXIF's number: 2, 4, 5 and 7 are mirrored, 3 upside down, 6 and 8 turned."""
+    if orientation in (5, 6, 7, 8):
+        pixels = np.swapaxes(pixels, 0, 1)
+    if orientation in (3, 4, 7, 8):
+        pixels = pixels[::-1]
+    if orientation in (2, 3, 6, 7):
+        pixels = pixels[:, ::-1]
     return np.ascontiguousarray(pixels)
 
 

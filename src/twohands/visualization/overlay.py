@@ -15,6 +15,8 @@ _REFERENCE_DIAGONAL = 1100.0
 """Diagonal, in pixels, of a picture on which sizes below hold as they stand."""
 _DRAWING_DIAGONAL = 2200.0
 """Smaller pictures are enlarged to about this before drawing, so that lines may be thinner than a pixel."""
+_ROWS = 256
+"""Of a picture that are tinted at a time."""
 _TINT = 0.22
 _OUTLINE = 0.6
 _INK = (24, 24, 28)
@@ -54,11 +56,28 @@ def draw_overlay(image: np.ndarray, pose: TwoHandPose) -> np.ndarray:
 
 
 def _tinted(image: np.ndarray, masks: np.ndarray, sigma: float) -> np.ndarray:
-    """The picture with each mask's area tinted and its outline drawn, both with soft borders."""
-    result = image.astype(np.float32)
+    """The picture with each mask's area tinted and its outline drawn, both with soft borders.
+
+    Some rows at a time, with as many beside them as the softness reaches: in floating point the whole of a telephone's
+    picture would take gigabytes. Rows that no mask reaches stay as they are.
+    """
+    result = image.copy()
+    reach = int(np.ceil(4 * sigma)) + 2
+    for start in range(0, len(image), _ROWS):
+        end = min(start + _ROWS, len(image))
+        top = max(0, start - reach)
+        around = masks[top : end + reach]
+        if around.any():
+            result[start:end] = _tinted_rows(image[start:end], around, start - top, sigma)
+    return result
+
+
+def _tinted_rows(rows: np.ndarray, around: np.ndarray, above: int, sigma: float) -> np.ndarray:
+    """Rows of the picture, tinted; `around` are the rows of the masks that reach them, `above` of these before them."""
+    result = rows.astype(np.float32)
     for side, colour in enumerate(HAND_COLOURS):
-        mask = (masks == side + 1).astype(np.float32)
-        soft = cv2.GaussianBlur(mask, (0, 0), sigma)
+        mask = (around == side + 1).astype(np.float32)
+        soft = cv2.GaussianBlur(mask, (0, 0), sigma)[above : above + len(rows)]
         outline = _OUTLINE * np.clip(4.0 * soft * (1.0 - soft), 0.0, 1.0)
         weight = np.maximum(_TINT * soft, outline)[..., None]
         result = (1.0 - weight) * result + weight * np.array(colour, np.float32)

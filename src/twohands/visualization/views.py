@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 
 from twohands.errors import MissingExtraError
@@ -29,6 +30,8 @@ _DARKER = 0.82
 _PANEL_IN = 3.5
 """Height of every panel in inches; top and side view are squares of this side."""
 _MIN_REACH_CM = 40.0
+MOST_PIXELS_SHOWN = 2000
+"""Along the longer side of the picture in the figure, which is about 700 dots high."""
 
 
 def draw_views(
@@ -90,7 +93,9 @@ def _camera_view(axes: Axes, image: np.ndarray, pose: TwoHandPose, title: str, t
     from matplotlib.lines import Line2D
 
     height, width = image.shape[:2]
-    axes.imshow(image, extent=(0, width, height, 0), interpolation="antialiased")
+    smaller = MOST_PIXELS_SHOWN / max(height, width)  # matplotlib would take gigabytes for a telephone's picture
+    shown = image if smaller >= 1 else cv2.resize(image, None, fx=smaller, fy=smaller, interpolation=cv2.INTER_AREA)
+    axes.imshow(shown, extent=(0, width, height, 0), interpolation="antialiased")
     axes.set(xlim=(0, width), ylim=(height, 0), xticks=[], yticks=[])
     axes.set_title(title, fontsize=10.5, color=_TEXT, parse_math=False)
     for spine in axes.spines.values():
