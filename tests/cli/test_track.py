@@ -158,6 +158,22 @@ def test_a_folder(weights, tmp_path, capsys):
     assert [frame["index"] for frame in record["frames"]] == [1, 2, 3, 4], "positions among all files of the folder"
 
 
+def test_a_pattern_names_pictures_in_natural_order(weights, tmp_path, capsys):
+    for name in ("f10.png", "f9.png", "other.png"):
+        write_picture(tmp_path / name)
+    assert run_track(tmp_path / "f*.png", "--out", tmp_path / "out", "--weights", weights) == 0
+    frames = json.loads((tmp_path / "out" / "hands.json").read_text())["frames"]
+    assert [frame["file"] for frame in frames] == ["f9.png", "f10.png"]
+    assert run_track(tmp_path / "g*.png", "--weights", weights) == 2
+    assert "no file matches" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [["--estimator", "mediapipe"], ["--mirrored"], ["--stride", "2"], ["--no-smooth"]])
+def test_what_is_for_videos_is_refused_for_pictures(words, picture, tmp_path, capsys):
+    assert run_track(picture, "--out", tmp_path / "out", *words) == 2
+    assert f"{words[0]} is for videos" in capsys.readouterr().err
+
+
 def test_a_folder_of_broken_images_is_an_error(weights, tmp_path, capsys):
     folder = tmp_path / "in"
     folder.mkdir()

@@ -6,6 +6,7 @@ camera:0 writes hands.jsonl while it runs, and an overlay, arrays and a table (e
 
 from __future__ import annotations
 
+import glob
 import json
 import math
 import os
@@ -26,7 +27,7 @@ from twohands.cli.output import check_output_folder, write_file
 from twohands.cli.track_clip import ClipJob, check_look_ahead, check_times, default_out, track_clip
 from twohands.errors import InputError, MissingExtraError, TwoHandsError
 from twohands.formats.camera_files import camera_for_image, read_camera
-from twohands.formats.pictures import list_images, look_through, read_image
+from twohands.formats.pictures import list_images, look_through, natural_key, read_image
 from twohands.inference.estimator import DEFAULT_HAND_LENGTH_M, HandEstimator
 from twohands.inference.frames import is_video, load_av, open_frames
 from twohands.inference.records import to_dict
@@ -53,8 +54,8 @@ class TrackArgs:
     """Arguments of `twohands track`."""
 
     input: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="INPUT")]
-    """Image (PNG, JPEG, WebP, BMP, TIFF, AVIF; HEIC with the extra heic), folder of images, video file, address of a
-    stream (rtsp://...), or camera:0."""
+    """Image (PNG, JPEG, WebP, BMP, TIFF, AVIF; HEIC with the extra heic), folder of images, quoted pattern ('*.jpg'),
+    video file, address of a stream (rtsp://...), or camera:0."""
     out: Annotated[Path | None, option("DIR")] = None
     """Folder for the results; out/track/NAME-OF-INPUT if not given."""
     camera: Annotated[Path | None, option("FILE")] = None
@@ -117,14 +118,18 @@ def run(args: TrackArgs) -> int:
     camera = _camera(args)
     if is_video(args.input):
         return _track_clip(args, camera, hand_length_m)
+    _refuse_video_options(args)
     source = Path(args.input)
     folder = os.path.isdir(source)  # Path.is_dir raises for names too long for a file
-    files = list_images(source) if folder else [source]
+    matching = [] if os.path.lexists(source) else _matching(args.input)
+    files = list_images(source) if folder else matching or [source]
     if folder:
         _say_left_out(look_through(source).others)
-    pictures = _readable(files, camera, args.fov) if folder else [_open(source, 0, camera, args.fov)]
-    out = args.out or Path("out") / "track" / (source.resolve().name if folder else source.stem)
-    if folder and os.path.isdir(out) and os.path.samefile(out, source):
+    several = folder or bool(matching)
+    pictures = _readable(files, camera, args.fov) if several else [_open(source, 0, camera, args.fov)]
+    name = files[0].resolve().parent.name if matching else source.resolve().name if folder else source.stem
+    out = args.out or Path("out") / "track" / name
+    if several and os.path.isdir(out) and os.path.samefile(out, files[0].parent):
         raise InputError(
             f"output {out} is the folder of the images, some of which it might replace; choose another --out"
         )
@@ -138,7 +143,7 @@ def run(args: TrackArgs) -> int:
         out=out,
         files=files,
         source=args.input,
-        skip=folder,
+        skip=several,
     )
     if skipped := len(files) - len(record["frames"]):
         _say(f"{skipped} of {len(files)} images skipped")
@@ -150,6 +155,29 @@ def run(args: TrackArgs) -> int:
         print_table(record)
         print(f"written to {out}")
     return 0
+
+
+def _matching(pattern: str) -> list[Path]:
+    """Files that a pattern such as 'pictures/*.jpg' names, in natural order; none where it is no pattern.
+
+    Raises:
+        InputError: it is a pattern and names no file.
+    """
+    if not any(sign in pattern for sign in "*?["):
+        return []
+    files = [Path(name) for name in glob.glob(pattern) if os.path.isfile(name)]
+    if not files:
+        raise InputError(f"{pattern}: no file matches this pattern")
+    return sorted(files, key=lambda path: natural_key(path.name))
+
+
+def _refuse_video_options(args: TrackArgs) -> None:
+    """Of options that mean nothing for pictures."""
+    unused = TrackArgs(args.input)
+    for name in ("start", "end", "stride", "mirrored", "smooth", "look_ahead", "overlay", "estimator"):
+        if getattr(args, name) != getattr(unused, name):
+            option_name = f"--no-{name}" if getattr(unused, name) is True else f"--{name.replace('_', '-')}"
+            raise InputError(f"{option_name} is for videos, streams and cameras; {args.input} is none by its name")
 
 
 def _track_clip(args: TrackArgs, camera: PinholeCamera | None, hand_length_m: float) -> int:

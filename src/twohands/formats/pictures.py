@@ -66,7 +66,7 @@ def look_through(folder: Path) -> FolderContent:
         files = [path for path in folder.iterdir() if not path.name.startswith(".") and path.is_file()]
     except OSError as error:
         raise InputError(f"{folder}: cannot be read: {error.strerror}") from error
-    files.sort(key=lambda path: _natural_key(path.name))
+    files.sort(key=lambda path: natural_key(path.name))
     pictures = [path for path in files if path.suffix.lower() in IMAGE_SUFFIXES or _begins_as_picture(path)]
     known = set(pictures)
     return FolderContent(pictures, [path for path in files if path not in known])
@@ -295,6 +295,6 @@ def _begins_as_picture(path: Path) -> bool:
         return False
 
 
-def _natural_key(name: str) -> list[tuple[int, int | str]]:
+def natural_key(name: str) -> list[tuple[int, int | str]]:
     """Sort key under which numbers count as numbers."""
     return [(0, int(part)) if part.isdecimal() else (1, part.lower()) for part in re.split(r"(\d+)", name)]

@@ -7,7 +7,6 @@ an object whose keys are pictures. A folder holds a file for each picture, as Op
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -17,6 +16,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from twohands.errors import DataFormatError, InputError
+from twohands.formats.pictures import natural_key
 from twohands.formats.structured import decode_text, parse_json, read_bytes
 from twohands.geometry.anatomy import HAND_LENGTH
 from twohands.geometry.lifting import View
@@ -297,7 +297,4 @@ def _json_files(folder: Path) -> list[Path]:
         raise InputError(f"{folder}: cannot be read: {error.strerror}") from None
     if not files:
         raise InputError(f"{folder}: no .json file in this folder")
-    return sorted(
-        files,
-        key=lambda path: [(p.isdecimal(), int(p) if p.isdecimal() else 0, p) for p in re.split(r"(\d+)", path.name)],
-    )
+    return sorted(files, key=lambda path: natural_key(path.name))
