@@ -95,8 +95,9 @@ def range_doubts(range_m: float) -> list[str]:
     low, high = RANGE_M
     if not math.isfinite(range_m) or low <= range_m <= high:
         return []
-    return [
-        f"a hand at {range_m:.3g} m is hard to believe: focal length, field of view or hand length may be in another "
+    which = f"nearer than {100 * low:g} cm" if range_m < low else f"farther than {high:g} m"
+    return [  # the same words for all, so that Python shows them once
+        f"a hand {which} is hard to believe: focal length, field of view or hand length may be in another "
         "unit than expected"
     ]
 

@@ -143,7 +143,7 @@ def test_the_cache_is_where_it_can_be_written(tmp_path, monkeypatch):
 
 def test_a_warning_is_one_line_once(capsys):
     with process.warnings_as_lines():
-        for text in ("a hand of 11 m", "a hand of 11 m", "another"):
+        for text in ("a hand of 11 m", "a hand of 12 m", "another"):
             warnings.warn(text, PlausibilityWarning, stacklevel=1)
     assert capsys.readouterr().err == "twohands: warning: a hand of 11 m\ntwohands: warning: another\n"
 
@@ -151,7 +151,7 @@ def test_a_warning_is_one_line_once(capsys):
 def test_so_many_warnings_are_cut_short(capsys):
     with process.warnings_as_lines():
         for number in range(100):
-            warnings.warn(str(number), PlausibilityWarning, stacklevel=1)
+            warnings.warn(chr(97 + number), PlausibilityWarning, stacklevel=1)
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == process.MOST_WARNINGS + 1 and "further warnings" in lines[-1]
 

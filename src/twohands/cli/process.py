@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import signal
 import sys
 import tempfile
@@ -124,7 +125,8 @@ def _can_be_made(folder: Path) -> bool:
 
 @contextlib.contextmanager
 def warnings_as_lines() -> Iterator[None]:
-    """While it is open, a `PlausibilityWarning` is one line on stderr, each text once; other warnings are as ever."""
+    """While it is open, a `PlausibilityWarning` is one line on stderr, the same one with other numbers not again;
+    other warnings are as ever."""
     said: set[str] = set()
 
     with warnings.catch_warnings():
@@ -140,8 +142,8 @@ def warnings_as_lines() -> Iterator[None]:
         ) -> None:
             if not issubclass(category, PlausibilityWarning):
                 usual(message, category, filename, lineno, file, line)
-            elif str(message) not in said and len(said) <= MOST_WARNINGS:
-                said.add(str(message))
+            elif (kind := re.sub(r"\d+", "", str(message))) not in said and len(said) <= MOST_WARNINGS:
+                said.add(kind)
                 text = str(message) if len(said) <= MOST_WARNINGS else "further warnings of this kind are left out"
                 print(f"twohands: warning: {text}", file=sys.stderr)
 
