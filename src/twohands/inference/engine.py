@@ -78,7 +78,7 @@ class OpenVinoNetwork:
         core = open_core()
         try:
             model = read_network(core, path)
-        except RuntimeError as error:
+        except (RuntimeError, ValueError) as error:  # ValueError: of its own message, where a damaged name is no text
             raise CheckpointError(f"{path}: not a readable ONNX network") from error
         found_in = [_channels(port) for port in model.inputs]
         found_out = [_channels(port) for port in model.outputs]
