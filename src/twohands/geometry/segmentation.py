@@ -377,15 +377,22 @@ def parted_masks(masks: np.ndarray, boxes_px: np.ndarray) -> np.ndarray:
         boxes_px: (2, 4) u0, v0, u1, v1 of both candidates.
     """
     size = masks.shape[0], masks.shape[1]
-    regions = np.asarray(cv2.connectedComponents((masks > 0).astype(np.uint8), connectivity=8)[1])
+    regions = _regions(masks > 0)
     boxes = [_cells(box_px, size, size) for box_px in boxes_px]
     touched = [np.setdiff1d(regions[cells], [0]) for cells in boxes]
-    parted, perhaps = masks.copy(), masks > UNCERTAIN
+    parted, perhaps = np.array(masks), masks > UNCERTAIN
     for candidate, cells in enumerate(boxes):
         mine = np.isin(regions, np.setdiff1d(touched[candidate], touched[1 - candidate]))
         mine[cells] |= masks[cells] > 0
         parted[mine] = np.where(perhaps[mine], 1 + candidate + UNCERTAIN, 1 + candidate)
     return parted
+
+
+def _regions(mask: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """(H, W) the number of every pixel's connected region, from 1; 0 outside the mask."""
+    regions = np.zeros(mask.shape, np.int32)
+    cv2.connectedComponents(mask.astype(np.uint8), regions, connectivity=8)
+    return regions
 
 
 def _overlap_share(box: np.ndarray, other: np.ndarray) -> float:
@@ -409,7 +416,7 @@ def box_evidence(
     planes = np.asarray(seg_logits, np.float32)
     leads = np.stack([planes[1 + side] - np.maximum(planes[0], planes[2 - side]) for side in (0, 1)])
     energy, lead, share, arm = np.zeros((4, 2, 2))
-    regions = np.asarray(cv2.connectedComponents((leads.max(axis=0) > 0).astype(np.uint8), connectivity=8)[1])
+    regions = _regions(leads.max(axis=0) > 0)
     cell_px = np.array([image_size[1] / planes.shape[2], image_size[0] / planes.shape[1]])
     for box in np.flatnonzero(np.isfinite(boxes_px).all(axis=1)):
         rows, columns = _cells(boxes_px[box], image_size, energies.shape[1:])
