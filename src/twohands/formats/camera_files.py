@@ -373,7 +373,8 @@ def _from_matrix(value: Any, key: str) -> dict[str, float]:
         raise DataFormatError(
             f"camera: {key}: the last row of a camera matrix must be 0, 0, 1, got {matrix[2].tolist()}"
         )
-    matrix = matrix / scale
+    with np.errstate(all="ignore"):  # of absurd numbers, which are named below
+        matrix = matrix / scale
     if not np.isfinite(matrix).all():
         raise DataFormatError(f"camera: {key}: the numbers of its matrix are too large")
     skew = max(abs(matrix[0, 1]), abs(matrix[1, 0]))
