@@ -102,11 +102,12 @@ class SegmentationStage(Stage):
 
     def forward(self, batch: Batch, iteration: int) -> Losses:
         segmentation, energy = self.net(normalised(batch["image"]))
-        target = encode_energy(batch["boxes_px"], batch["present"], *energy.shape[-2:])
+        height, width = energy.shape[-2:]
+        target = encode_energy(batch["boxes_px"], batch["present"], height, width)
         loss = self.config.loss
         each = around = None
         if loss.small_hands:
-            each = losses.hand_weights(batch["boxes_px"], batch["present"], *energy.shape[-2:], loss.small_hands)
+            each = losses.hand_weights(batch["boxes_px"], batch["present"], height, width, loss.small_hands)
             around = torch.where((each == 1).any(dim=1), each.prod(dim=1), each.amax(dim=1))
         return {
             "segmentation": losses.segmentation_loss(segmentation, batch["classes"].long(), around),
