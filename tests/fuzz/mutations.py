@@ -216,6 +216,7 @@ def _prediction(shop: Workshop, rng: np.random.Generator, work: Path) -> tuple[s
     path = work / original.name
     damage = damaged_text if path.suffix == ".json" else damaged_bytes
     path.write_bytes(damage(original.read_bytes(), rng))
+    (work / "out").mkdir()
     return path.name, ["eval", "import", str(path), str(shop.dataset), "--out", str(work / "out" / "theirs.npz")]
 
 
@@ -226,6 +227,7 @@ def _dataset(shop: Workshop, rng: np.random.Generator, work: Path) -> tuple[str,
     damage = damaged_text if path.suffix == ".json" else damaged_bytes
     path.write_bytes(damage(path.read_bytes(), rng))
     name = path.relative_to(folder).as_posix()
+    (work / "out").mkdir()
     return name, ["eval", "predict", str(folder), "--out", str(work / "out" / "ours.npz")]
 
 
