@@ -104,7 +104,7 @@ def test_shipped_masks_stay_as_they_are_in_8_bits():
     for canvas in canvases:
         masks = [masks_from_logits(network(canvas)[0][0], size, np.ones(2, bool)) for network in (exact, rounded)]
         hands = (masks[0] > 0) | (masks[1] > 0)
-        assert hands.sum() > 100 and (masks[0] != masks[1])[hands].mean() < 0.03
+        assert hands.sum() > 100 and (masks[0] != masks[1])[hands].mean() < 0.08
 
 
 def test_the_card_decides(tmp_path):
