@@ -56,7 +56,7 @@ def hand_maps(network: HandSegNet, card: WeightsCard, image: np.ndarray) -> Hand
         image: (H, W, 3) uint8 RGB.
     """
     found = picture_maps(network, card, image)
-    part = closer_part(found, image.shape[:2], card.views)
+    part = closer_part(found, image.shape[:2], card.views) if card.views.closer_below_share else None
     if part is None:
         return found
     return with_part(found, picture_maps(network, card, image[part]), part, image.shape[:2])

