@@ -9,7 +9,13 @@ from torch.nn import functional
 
 from twohands.errors import InputError
 from twohands.models.blocks import freeze_batch_norm
-from twohands.models.efficientnet import EfficientNetLite0, encoder_of, load_published, published_weights
+from twohands.models.efficientnet import (
+    DepthwiseConv2d,
+    EfficientNetLite0,
+    encoder_of,
+    load_published,
+    published_weights,
+)
 from twohands.models.hand_seg_net import HandSegNet, HandSegNetConfig
 from twohands.models.pose_net_2d import PoseNet2D, PoseNet2DConfig
 from twohands.models.presets import SLIM
@@ -122,3 +128,20 @@ def test_a_network_without_such_an_encoder_has_none():
 def test_levels_to_freeze_are_checked():
     with pytest.raises(InputError, match=r"frozen_levels must lie in 0..5, got 6"):
         with_override(recipe("ours", "hand_seg_net"), "optim.frozen_levels=6")
+
+
+@pytest.mark.parametrize("stride", [1, 2])
+def test_depthwise_filters_learn_in_float32_under_bfloat16(stride):
+    layer = DepthwiseConv2d(4, 4, 5, stride, 2, groups=4, bias=False)
+    x = torch.rand(1, 4, 8, 8, generator=torch.Generator().manual_seed(0))
+    layer(x).square().sum().backward()
+    exact = layer.weight.grad
+    assert exact is not None
+    layer.weight.grad = None
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        y = layer(x)
+    y.square().sum().backward()
+    assert y.dtype == x.dtype
+    torch.testing.assert_close(layer.weight.grad, exact, rtol=1e-6, atol=1e-6)  # bfloat16 would be off by 1e-2
+    with torch.no_grad(), torch.autocast("cpu", dtype=torch.bfloat16):
+        assert layer(x).dtype == torch.bfloat16

