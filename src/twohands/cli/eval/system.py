@@ -1,0 +1,118 @@
+"""What is measured: our pipeline, with stages of it replaced by ground truth or over video, or another system."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeAlias
+
+import tyro
+
+from twohands.cli.eval.arguments import count_of, this_command
+from twohands.cli.eval.console import with_progress
+from twohands.datasets.opening import OpenedDataset
+from twohands.errors import InputError
+from twohands.evaluation.predictions import Predictions, predict
+from twohands.inference.estimator import HandEstimator
+from twohands.inference.ground_truth import HeatmapTargets, Stage, TruthfulEstimator
+from twohands.inference.leaving import CARRIED_FRAMES
+from twohands.inference.video import VideoEstimator
+from twohands.inference.weights import DEFAULT_PRESET, preset_folder, weights_id
+from twohands.peers.base import Handedness
+from twohands.peers.mediapipe_hands import MediaPipeHands, Placement
+from twohands.types import HandSample, TwoHandPose
+
+
+@dataclass(frozen=True)
+class System:
+    """What is measured."""
+
+    weights: str = DEFAULT_PRESET
+    """Preset that ships with the package, or a weights folder."""
+    truth: tuple[Stage, ...] = ()
+    """Stages to replace by ground truth, for isolated results."""
+    smooth: bool = False
+    """Take the frames of each folder as video: hands that were there a frame before are remembered (not a peer's), and
+    ranges are smoothed and leaving hands carried on."""
+    peer: Literal["mediapipe"] | None = None
+    """Measure another system instead of ours."""
+    peer_python: Path | None = None
+    """Interpreter of the environment that holds the peer (docs/evaluation.md)."""
+    mediapipe_model: Path | None = None
+    """Peer mediapipe: hand_landmarker.task, for its Tasks API; the legacy solution of 0.10.21 if not given."""
+    handedness: Handedness = "matched"
+    """Peer: which hand is which by its own word, or matched with the labels."""
+    placement: Placement = "solver"
+    """Peer: placed by our solver with the true hand length, or by PnP at its own size."""
+
+
+MeasuredSystem: TypeAlias = Annotated[System, tyro.conf.arg(name="")]
+
+
+def predict_with(dataset: OpenedDataset, system: System, count: int | None) -> Predictions:
+    """What a system predicts for the first `count` samples of a dataset, all if None.
+
+    Raises:
+        InputError: stages of a peer are to be replaced, the peer cannot be started, or the count is below 1.
+        DataFormatError: the peer ends or says what cannot be read.
+    """
+    samples = with_progress(dataset.samples, count_of(count, dataset.samples), "predicting")
+    with contextlib.ExitStack() as stack:
+        if system.peer == "mediapipe":
+            if system.truth:
+                raise InputError("--truth replaces stages of our pipeline; a peer has none of them")
+            peer = stack.enter_context(
+                MediaPipeHands(
+                    system.peer_python,
+                    handedness=system.handedness,
+                    placement=system.placement,
+                    model=system.mediapipe_model,
+                )
+            )
+            name, settings = peer.name, peer.settings
+
+            def estimate(sample: HandSample, previous: TwoHandPose | None = None) -> TwoHandPose:
+                return peer(sample)
+
+        else:
+            estimator = HandEstimator.from_preset(system.weights)
+            targets = HeatmapTargets.from_folder(preset_folder(system.weights))
+            estimate = TruthfulEstimator(estimator, system.truth, targets)
+            name = weights_id(preset_folder(system.weights), estimator.card)
+            settings = _settings(estimator, system)
+        if system.smooth:
+            settings = settings | {"smoothed": True, "carried_frames": CARRIED_FRAMES}
+        system_under_test = _Video(estimate) if system.smooth else estimate
+        predictions = predict(samples, system_under_test, dataset=dataset.samples.name, weights=name, settings=settings)
+    return replace(predictions, command=this_command())
+
+
+def _settings(estimator: HandEstimator, system: System) -> dict[str, Any]:
+    return {
+        "card": asdict(estimator.card),
+        "hand_length_m": "each hand's own, from its labels",
+        "camera": "the dataset's",
+        "truth": list(system.truth),
+    }
+
+
+class _Video:
+    """An estimator over the frames of folders, each a clip of its own: told what it said of the frame before, with
+    smooth ranges, leaving hands carried on, and sides that hands keep (`inference.video`)."""
+
+    def __init__(self, estimate: Callable[[HandSample, TwoHandPose | None], TwoHandPose]) -> None:
+        self._estimate = estimate
+        self._video = VideoEstimator()
+        self._folder: str | None = None
+        self._frame = 0
+
+    def __call__(self, sample: HandSample) -> TwoHandPose:
+        folder = sample.source.rpartition("/")[0]
+        if folder != self._folder:
+            self._video.reset()
+            self._folder, self._frame = folder, 0
+        pose = self._video.update(lambda previous: replace(self._estimate(sample, previous), index=self._frame))
+        self._frame += 1
+        return pose
