@@ -8,6 +8,10 @@ PEOPLE, WILD and PAPER are made by `twohands generate frames` with seeds that no
 those for training are taken; of the photographs, `--photographs` without hands. Every other picture of frames also
 comes as a video's next one: moved a little, with the answer for the picture before it known.
 
+With `--judges`, the pose networks of other weights look at the same candidates, too. Networks know the pictures that
+they learned from, and generated ones like them, better than anyone's camera: who trusts PoseNet2D as much as it is
+right there trusts it too much elsewhere. Weights that never saw such pictures show how much it is right about them.
+
 Gathers evidence once, into the cache, and goes on there where it was interrupted; fits by maximum likelihood with a
 quadratic penalty; prints errors by kind and a reliability table of pictures held out in turn; writes weights and what
 they rest on into the card's "decision". Nothing is chosen by hand.
@@ -51,7 +55,7 @@ from twohands.inference.handedness import (
     last_features,
     rescore,
 )
-from twohands.inference.weights import read_card, weights_id, write_card
+from twohands.inference.weights import preset_folder, read_card, weights_id, write_card
 from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
 from twohands.types import HandSample, PinholeCamera
 
@@ -112,6 +116,7 @@ def main() -> int:
     """Reads the options, looks, fits, prints and writes."""
     parser = argparse.ArgumentParser(description="Fits a preset's decision which hands are there, and whose.")
     parser.add_argument("preset", type=Path, help="weights folder; its card is written")
+    parser.add_argument("--judges", nargs="*", default=[], help="weights folders or presets: see above")
     parser.add_argument("--frames", type=Path, nargs="*", default=[], help="folders of cached frames")
     parser.add_argument("--count", type=int, default=1000, help="of pictures of every folder, at most")
     parser.add_argument("--digits", type=Path, help="folder of photographed digits")
@@ -126,7 +131,8 @@ def main() -> int:
         card = read_card(options.preset)
         if not card.hand_logit:
             raise InputError(f"{card.name}: its PoseNet2D has no hand classifier, there is nothing to decide by")
-        identity = weights_id(options.preset, card)
+        judges = [preset_folder(judge) for judge in options.judges]
+        identity = "+".join(weights_id(folder, read_card(folder)) for folder in (options.preset, *judges))
         pictures = gathered(options, identity)
         config = card.decision
         summary = cross_validated(pictures, config)
@@ -150,14 +156,20 @@ def gathered(options: argparse.Namespace, identity: str) -> list[Seen]:
     first = found[-1].scene + 1 if found else 0
     if first == len(plan):
         return found
-    estimator = deciding(HandEstimator.from_preset(options.preset, threads=1))
+    own = deciding(HandEstimator.from_preset(options.preset, threads=1))
+    judges = [HandEstimator.from_preset(judge, threads=1) for judge in options.judges]
+    estimators = [own, *(judged_by(own, judge) for judge in judges)]
     for scene in range(first, len(plan)):
         kind, sample_of = plan[scene]
-        sample, rng, earlier = sample_of(), np.random.default_rng([options.seed, scene]), -1
-        if kind != "photographs" and scene % 2:
-            found.append(seen(estimator, moved(sample, rng), kind, scene, -1))
-            earlier = len(found) - 1
-        found.append(seen(estimator, sample, kind, scene, earlier))
+        sample, rng = sample_of(), np.random.default_rng([options.seed, scene])
+        before = moved(sample, rng) if kind != "photographs" and scene % 2 else None
+        for estimator in estimators:
+            named_kind = kind if estimator is own else f"{kind} by {estimator.card.name}"
+            earlier = -1
+            if before is not None:
+                found.append(seen(estimator, before, named_kind, scene, -1))
+                earlier = len(found) - 1
+            found.append(seen(estimator, sample, named_kind, scene, earlier))
         if scene % SAVED_EVERY == 0 or scene + 1 == len(plan):
             save(options.cache, found, identity)
             print(f"{scene + 1} of {len(plan)} scenes", file=sys.stderr, flush=True)
@@ -234,6 +246,13 @@ def deciding(estimator: HandEstimator) -> HandEstimator:
     """The same, looking at candidates whether its card is fitted yet or not."""
     decision = replace(estimator.card.decision, first={"hand": 0.0}, last={"hand": 0.0})
     return HandEstimator(estimator.networks, replace(estimator.card, decision=decision))
+
+
+def judged_by(own: HandEstimator, judge: HandEstimator) -> HandEstimator:
+    """Candidates of one preset, seen by the pose networks of another."""
+    pose = ("name", "crop_size", "crop_kind", "crop_margin", "heatmap_decode", "background", "hand_logit", "cues")
+    card = replace(own.card, **{name: getattr(judge.card, name) for name in pose})
+    return HandEstimator(replace(judge.networks, hand_seg_net=own.networks.hand_seg_net), card)
 
 
 def seen(estimator: HandEstimator, sample: HandSample, kind: str, scene: int, earlier: int) -> Seen:
@@ -414,8 +433,8 @@ def side_changed(before: Before, boxes_px: np.ndarray) -> bool:
 def renumbered(pictures: Sequence[Seen]) -> list[Seen]:
     """Some of the pictures, whole scenes, with `earlier` counted anew."""
     number = {id(one): i for i, one in enumerate(pictures)}
-    by_scene = {one.scene: number[id(one)] for one in reversed(pictures)}
-    return [one if one.earlier < 0 else one._replace(earlier=by_scene[one.scene]) for one in pictures]
+    by_scene = {(one.scene, one.kind): number[id(one)] for one in reversed(pictures)}
+    return [one if one.earlier < 0 else one._replace(earlier=by_scene[one.scene, one.kind]) for one in pictures]
 
 
 COLUMNS: Final = ("pictures", "hands", "same side", "other side", "missed", "invented")
