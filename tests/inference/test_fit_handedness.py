@@ -16,6 +16,7 @@ from scripts.fit_handedness import (
     counted,
     cross_validated,
     fit,
+    judged_by,
     likeliest,
     load,
     moved,
@@ -32,6 +33,7 @@ from tests.oracles import Oracle, drawn_hands, make_card, write_tiny_weights
 from twohands.errors import InputError
 from twohands.geometry.segmentation import BoxEvidence
 from twohands.inference.decision import DecisionConfig
+from twohands.inference.estimator import HandEstimator
 from twohands.inference.handedness import ANSWERS, Before, Evidence, answer_scores, first_features, probabilities
 from twohands.inference.weights import read_card
 
@@ -192,3 +194,22 @@ def test_it_tells_what_it_cannot_begin_with(tmp_path):
     command = [sys.executable, "scripts/fit_handedness.py", str(folder), "--cache", str(tmp_path / "e.npz")]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 2 and "no hand classifier" in done.stderr
+
+
+def test_a_judge_sees_our_candidates_in_its_own_crops(tmp_path):
+    own = HandEstimator.from_preset(write_tiny_weights(tmp_path / "own"))
+    judge = HandEstimator.from_preset(write_tiny_weights(tmp_path / "judge", crop_size=64, map_size=16))
+    both = judged_by(own, judge)
+    assert both.networks.hand_seg_net is own.networks.hand_seg_net
+    assert both.networks.pose_net_2d is judge.networks.pose_net_2d
+    assert both.card.crop_size == 64 and both.card.decision is own.card.decision
+    assert both.card.views is own.card.views
+
+
+def test_pictures_of_different_judges_keep_their_own_past():
+    """A scene comes once by every judge; each goes on from what that judge saw before."""
+    rng = np.random.default_rng(0)
+    scene = [judged_picture(rng, 7), judged_picture(rng, 7, 0), judged_picture(rng, 7), judged_picture(rng, 7, 2)]
+    scene[2:] = [one._replace(kind="made by another") for one in scene[2:]]
+    kept = renumbered([judged_picture(rng, 3), *scene])
+    assert [one.earlier for one in kept] == [-1, -1, 1, -1, 3]
