@@ -117,7 +117,7 @@ def test_cut_off_files_are_named(tmp_path: Path, name: str, keep: float) -> None
 def test_files_that_do_not_fit_are_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such folder"):
         RHD(tmp_path / "nowhere")
-    with pytest.raises(DataFormatError, match=r"anno_evaluation\.pickle: cannot be read"):
+    with pytest.raises(DataFormatError, match=r"anno_evaluation\.pickle: no such file"):
         RHD(tmp_path)
 
     def refused(message: str, annotations: Any, mask: np.ndarray | None = None) -> None:

@@ -83,7 +83,7 @@ def test_cut_off_files_are_named(tmp_path: Path, keep: float) -> None:
 def test_other_labels_and_missing_files_are_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such folder"):
         STB(tmp_path / "nowhere")
-    with pytest.raises(DataFormatError, match=r"B1Counting_BB\.mat: cannot be read"):
+    with pytest.raises(DataFormatError, match=r"B1Counting_BB\.mat: no such file"):
         STB(tmp_path)
     write_stb(tmp_path)
     write_picture(tmp_path / "images" / "B1Counting" / "BB_left_0.png", 320, 240)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from pathlib import Path
 
 from twohands.errors import InputError
-from twohands.files import let_others_read
+from twohands.files import write_whole
 
 
 def check_output_folder(folder: Path, *, overwrite: bool) -> None:
@@ -36,22 +35,14 @@ def check_output_folder(folder: Path, *, overwrite: bool) -> None:
 
 
 def write_file(path: Path, content: bytes) -> None:
-    """Write a file through a temporary neighbour, so that it appears whole or not at all; folders are made.
+    """Write a file so that it appears whole or not at all; folders are made.
 
     Raises:
         InputError: it cannot be written.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(content)
-            let_others_read(Path(temporary))
-            os.replace(temporary, path)
-        except BaseException:
-            os.unlink(temporary)
-            raise
+        write_whole(path, content)
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from error
 

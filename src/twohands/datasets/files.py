@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import cv2
 import numpy as np
 
 from twohands.errors import DataFormatError, InputError
-from twohands.formats.pictures import decode_pixels
-from twohands.formats.structured import parse_json
+from twohands.files import read_file
+from twohands.formats import structured
+from twohands.formats.pictures import decode_pixels, is_complete
 
-_ENDS = {".png": b"IEND\xaeB`\x82", ".jpg": b"\xff\xd9"}
-"""Last bytes of every complete file: PNG's closing chunk with its checksum, JPEG's end-of-image marker."""
-_TO_RGB = {3: cv2.COLOR_BGR2RGB, 4: cv2.COLOR_BGRA2RGBA}
+MAX_BYTES: Final = 4 << 30
+"""Of a file of labels: InterHand2.6M's joints take a gigabyte."""
+_SUFFIXES: Final = (".png", ".jpg")
+_TO_RGB: Final = {3: cv2.COLOR_BGR2RGB, 4: cv2.COLOR_BGRA2RGBA}
 
 
 def existing_folder(path: str | os.PathLike[str]) -> Path:
@@ -37,9 +39,11 @@ def read_bytes(path: Path) -> bytes:
         DataFormatError: the file is missing, cannot be read, or is empty.
     """
     try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise DataFormatError(f"{path}: cannot be read ({error.strerror})") from None
+        data = read_file(path, MAX_BYTES)
+    except InputError as error:
+        raise DataFormatError(str(error)) from None
+    if len(data) > MAX_BYTES:
+        raise DataFormatError(f"{path}: more than {MAX_BYTES >> 30} GiB")
     if not data:
         raise DataFormatError(f"{path}: zero bytes")
     return data
@@ -56,14 +60,9 @@ def read_json(path: Path, kind: type) -> Any:
         DataFormatError: the file is missing, cut off, not JSON, or of another kind.
     """
     try:
-        content = parse_json(read_bytes(path))
-    except DataFormatError as error:
-        if str(error).startswith(f"{path}: "):
-            raise
-        raise DataFormatError(f"{path}: not a complete JSON file ({error})") from None
-    if not isinstance(content, kind):
-        raise DataFormatError(f"{path}: expected a JSON {kind.__name__}, got a {type(content).__name__}")
-    return content
+        return structured.read_json(path, kind, limit=MAX_BYTES)
+    except InputError as error:
+        raise DataFormatError(str(error)) from None
 
 
 def read_picture(path: Path, channels: int = 3) -> np.ndarray:
@@ -79,10 +78,10 @@ def read_picture(path: Path, channels: int = 3) -> np.ndarray:
     Raises:
         DataFormatError: the file is missing, empty, cut off, damaged, not 8-bit, or has other channels.
     """
-    if path.suffix not in _ENDS:
-        raise DataFormatError(f"{path}: expected a file name that ends in {' or '.join(_ENDS)}")
+    if path.suffix not in _SUFFIXES:
+        raise DataFormatError(f"{path}: expected a file name that ends in {' or '.join(_SUFFIXES)}")
     data = read_bytes(path)
-    if not data.rstrip(b"\0").endswith(_ENDS[path.suffix]):  # the decoder would make up the rest without a word
+    if not is_complete(data):
         raise DataFormatError(f"{path}: not a complete {path.suffix[1:].upper()} file")
     return decode_bytes(data, channels, str(path), path.suffix[1:].upper())
 

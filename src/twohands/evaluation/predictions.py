@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twohands.errors import DataFormatError, InputError
+from twohands.files import appearing
 from twohands.formats.pictures import decode_pixels
 from twohands.formats.structured import parse_json
 from twohands.geometry.camera import unproject
@@ -209,9 +210,8 @@ def save_predictions(path: str | os.PathLike[str], predictions: Predictions, *, 
     """
     target = check_predictions_path(path, overwrite=overwrite)
     header = {"version": VERSION} | {name: getattr(predictions, name) for name in (*_HEADER, "command")}
-    temporary = target.with_name(f".{target.name}.{os.getpid()}")
     try:
-        with temporary.open("wb") as file:
+        with appearing(target) as partial, partial.open("wb") as file:
             np.savez_compressed(
                 file,
                 header=np.array(json.dumps(header)),
@@ -220,11 +220,8 @@ def save_predictions(path: str | os.PathLike[str], predictions: Predictions, *, 
                 masks_end=np.cumsum([len(data) for data in predictions.masks_png], dtype=np.int64),
                 **{name: getattr(predictions, name) for name in _ARRAYS},
             )
-        temporary.replace(target)
     except OSError as error:
         raise InputError(f"{target}: cannot be written ({error.strerror})") from None
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def check_predictions_path(path: str | os.PathLike[str], *, overwrite: bool = False) -> Path:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import logging
 import math
-import os
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,6 +18,7 @@ import torch
 from torch import Tensor, nn
 
 from twohands.errors import CheckpointError, InputError
+from twohands.files import appearing
 from twohands.inference.int8 import WEIGHT_LEVELS, kernel_peaks
 from twohands.inference.weights import CARD_VERSION, NETWORK_INPUT, write_card
 from twohands.models.checkpoint import BYTES, HALF, SCALE, describe, load_network, read_note
@@ -83,7 +83,6 @@ def export_network(
         raise InputError(f"cannot export a {type(network).__name__}")
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(path.name + ".partial")
     was_training = network.training
     model.eval()
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)
@@ -108,8 +107,8 @@ def export_network(
     prefix = "net." if isinstance(model, HeatmapNet) else ""
     for key, value in {**describe(name, network, note), "prefix": prefix}.items():
         result.metadata_props.add(key=key, value=value)
-    onnx.save(result, str(partial))
-    os.replace(partial, path)
+    with appearing(path) as partial:
+        onnx.save(result, str(partial))
 
 
 def small_weights(model: onnx.ModelProto) -> onnx.ModelProto:

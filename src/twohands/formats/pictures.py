@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 
 from twohands.errors import InputError, MissingExtraError
+from twohands.files import read_file
 from twohands.formats.picture_kinds import (
     AVIF,
     BMP,
@@ -103,13 +104,7 @@ def read_image(path: str | Path) -> np.ndarray:
         MissingExtraError: it is HEIC, and nothing is there that decodes it.
     """
     path = Path(path)
-    try:
-        with path.open("rb") as file:
-            data = file.read(MAX_FILE_BYTES + 1)
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: no such file") from error
-    except (OSError, ValueError) as error:  # ValueError: a name with a zero byte
-        raise InputError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
+    data = read_file(path, MAX_FILE_BYTES)
     try:
         return decode_image(data)
     except MissingExtraError as error:
@@ -197,11 +192,16 @@ def read_pixels(path: Path, flags: int) -> np.ndarray | None:
         flags: OpenCV's, how to decode it.
     """
     try:
-        data = path.read_bytes() if path.stat().st_size <= MAX_FILE_BYTES else b""
-    except OSError:
+        data = read_file(path, MAX_FILE_BYTES)
+    except InputError:
         return None
+    return decode_pixels(data, flags) if len(data) <= MAX_FILE_BYTES and is_complete(data) else None
+
+
+def is_complete(data: bytes) -> bool:
+    """Whether a picture file is all there, as far as its structure tells; False where it is none."""
     kind = kind_of(data)
-    return None if kind is None or not kind.is_complete(data) else decode_pixels(data, flags)
+    return kind is not None and kind.is_complete(data)
 
 
 def _kind(data: bytes) -> PictureKind:

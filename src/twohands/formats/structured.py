@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import Any, Final
 from xml.etree import ElementTree
 
-from twohands.errors import DataFormatError, InputError
+from twohands.errors import DataFormatError
+from twohands.files import read_file
 
 MAX_BYTES: Final = 64 << 20
 """Of a JSON file: predictions of 100,000 pictures in full take 1 GB, and belong into an npz."""
@@ -52,18 +53,12 @@ def read_bytes(path: Path, what: str = "file", limit: int = MAX_BYTES) -> bytes:
         InputError: there is no such file, or it cannot be read.
         DataFormatError: it is empty, too large, or a damaged gzip file.
     """
-    try:
-        with path.open("rb") as file:
-            data = file.read(limit + 1)
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: no such {what}") from error
-    except (OSError, ValueError) as error:  # ValueError: a name with a zero byte
-        raise InputError(f"{path}: {what} cannot be read: {getattr(error, 'strerror', None) or error}") from error
+    data = read_file(path, limit, what)
     if data.startswith(_GZIP):
         data = _unpacked(data, path, limit)
     if len(data) > limit:
         raise DataFormatError(f"{path}: {what} of more than {limit >> 20} MiB")
-    if not data.strip():
+    if not data or data.isspace():
         raise DataFormatError(f"{path}: {what} is empty")
     return data
 

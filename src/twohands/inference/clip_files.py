@@ -13,7 +13,6 @@ ended.
 
 from __future__ import annotations
 
-import contextlib
 import io
 import json
 import os
@@ -27,7 +26,7 @@ from typing import IO, Any, Final
 import numpy as np
 
 from twohands.errors import DataFormatError
-from twohands.files import partial_path
+from twohands.files import appearing, partial_path
 from twohands.inference.records import from_dict, to_dict
 from twohands.inference.tables import csv_text, to_arrays
 from twohands.types import HandPose, PinholeCamera, TwoHandPose
@@ -118,27 +117,22 @@ class ClipFiles:
         """All columns one after the other from where they were put by; none is ever in memory as a whole."""
         if not self.count:
             return
-        path = self._folder / NPZ
-        partial = partial_path(path)
-        try:
-            with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED) as archive:
-                for name, array in to_arrays([], self._camera, **self._about).items():
-                    if name in self._columns:
-                        spool, dtype, row_shape = self._columns[name]
-                        spool.seek(0)
-                        with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
-                            np.lib.format.write_array_header_1_0(member, _npy_header(dtype, (self.count, *row_shape)))
-                            shutil.copyfileobj(spool, member)
-                    else:
-                        array = np.full(self.count, "", "<U1") if name == "files" else array
-                        content = io.BytesIO()
-                        np.lib.format.write_array(content, array, allow_pickle=False)
-                        archive.writestr(f"{name}.npy", content.getvalue())
-            os.replace(partial, path)
-        except BaseException:
-            with contextlib.suppress(OSError):
-                partial.unlink()
-            raise
+        with (
+            appearing(self._folder / NPZ) as partial,
+            zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED) as archive,
+        ):
+            for name, array in to_arrays([], self._camera, **self._about).items():
+                if name in self._columns:
+                    spool, dtype, row_shape = self._columns[name]
+                    spool.seek(0)
+                    with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                        np.lib.format.write_array_header_1_0(member, _npy_header(dtype, (self.count, *row_shape)))
+                        shutil.copyfileobj(spool, member)
+                else:
+                    array = np.full(self.count, "", "<U1") if name == "files" else array
+                    content = io.BytesIO()
+                    np.lib.format.write_array(content, array, allow_pickle=False)
+                    archive.writestr(f"{name}.npy", content.getvalue())
 
 
 def read_clip(path: Path) -> tuple[dict[str, Any], Iterator[TwoHandPose]]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from twohands.errors import CheckpointError, InputError
-from twohands.files import let_others_read
+from twohands.files import appearing, let_others_read
 from twohands.models.presets import NETWORKS, build_network, config_from_dict
 
 FORMAT = "twohands-checkpoint-1"
@@ -41,17 +40,12 @@ def save_tensors(tensors: Mapping[str, Tensor], metadata: Mapping[str, str], pat
         InputError: it cannot be written.
     """
     path = Path(path)
-    partial = path.with_name(path.name + ".partial")
     plain = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        try:
+        with appearing(path) as partial:
             save_file(plain, partial, metadata=dict(metadata))
             let_others_read(partial)
-            os.replace(partial, path)
-        except BaseException:
-            partial.unlink(missing_ok=True)
-            raise
     except (OSError, SafetensorError) as error:
         raise InputError(f"{path}: cannot be written: {error}") from error
 
