@@ -14,7 +14,7 @@ import twohands
 PACKAGE = Path(twohands.__file__).parent
 
 STOREYS = [
-    {"types", "skeleton", "errors", "files", "formats", "plausibility", "ego3dhands_format", "instance_index"},
+    {"types", "skeleton", "errors", "files", "formats", "plausibility", "version"},
     {"geometry"},
     {"synth", "datasets", "models", "evaluation"},
     {"training", "inference", "peers"},

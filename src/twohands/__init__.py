@@ -15,6 +15,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from twohands.version import __version__
+
 if TYPE_CHECKING:
     from twohands.errors import TwoHandsError
     from twohands.formats.camera_files import read_camera
@@ -27,8 +29,6 @@ if TYPE_CHECKING:
     from twohands.types import HandPose, PinholeCamera, TwoHandPose
     from twohands.visualization.overlay import draw_overlay
     from twohands.visualization.views import draw_views
-
-__version__ = "0.1.0"
 
 _HOME = {
     "HandEstimator": "twohands.inference.estimator",
@@ -54,6 +54,7 @@ __all__ = [
     "StageTruth",
     "TwoHandPose",
     "TwoHandsError",
+    "__version__",
     "draw_overlay",
     "draw_views",
     "lift",

@@ -7,8 +7,8 @@ import cv2
 import pytest
 from tests.datasets import fakes
 
-from twohands import ego3dhands_format as fmt
 from twohands.cli.main import main
+from twohands.formats import ego3dhands as fmt
 
 
 def test_sound_dataset(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

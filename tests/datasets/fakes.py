@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from twohands import ego3dhands_format as fmt
+from twohands.formats import ego3dhands as fmt
 from twohands.geometry.camera import project
 from twohands.geometry.canonical import canonical_from_camera
 from twohands.skeleton import LEFT, RIGHT, ROOT, part_label

@@ -8,10 +8,10 @@ import pytest
 from tests.datasets import fakes
 from tests.datasets.facts import huge_png
 
-from twohands import ego3dhands_format as fmt
 from twohands.datasets.base import HandDataset
 from twohands.datasets.ego3dhands import Ego3DHands, read_instance
 from twohands.errors import DataFormatError, InputError
+from twohands.formats import ego3dhands as fmt
 from twohands.geometry.camera import project
 from twohands.geometry.canonical import canonical_from_camera
 from twohands.geometry.projection import project_global

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from tests.datasets import fakes
 
-from twohands import ego3dhands_format as fmt
 from twohands.datasets.base import HandDataset
 from twohands.datasets.ego3dhands import Ego3DHands
 from twohands.datasets.inspection.inspect import inspect_dataset
 from twohands.datasets.manifest import expected_hand_length_m
 from twohands.datasets.shards import ShardedEgo3DHands, open_ego3dhands
 from twohands.errors import DataFormatError, InputError
+from twohands.formats import ego3dhands as fmt
 from twohands.synth.production.manifest import claimed_folder
 from twohands.synth.production.sinks import FolderSink, ShardSink
 from twohands.training.config import DataConfig

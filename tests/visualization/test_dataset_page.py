@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from tests.datasets import fakes
 
-from twohands import ego3dhands_format as fmt
 from twohands.datasets.ego3dhands import Ego3DHands
 from twohands.datasets.inspection.inspect import inspect_dataset
+from twohands.formats import ego3dhands as fmt
 from twohands.visualization.dataset_page import dataset_page
 from twohands.visualization.svg import WIDTH, bin_shares, heat_map, histogram, nice_ceiling, nice_ticks, ranges
 

@@ -17,7 +17,6 @@ import sys
 import typing
 from collections.abc import Sequence
 
-from twohands import __version__
 from twohands.cli.process import (
     EndedBySignal,
     ending_like_ctrl_c,
@@ -26,6 +25,7 @@ from twohands.cli.process import (
     without_native_noise,
 )
 from twohands.errors import MissingExtraError, TwoHandsError
+from twohands.version import __version__
 
 VERBS = {
     "track": "both hands in metres from a video, a camera, an image or a folder of images",

@@ -16,10 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from twohands import ego3dhands_format as fmt
 from twohands.datasets.files import decode_bytes
 from twohands.datasets.manifest import expected_hand_length_m
 from twohands.errors import DataFormatError, InputError
+from twohands.formats import ego3dhands as fmt
 from twohands.formats.structured import parse_json
 from twohands.types import HandSample, PinholeCamera
 

@@ -6,9 +6,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-from twohands import ego3dhands_format as fmt
 from twohands.errors import DataFormatError
-from twohands.instance_index import INDEX_FILE, MANIFEST_FILE, IndexEntry, parse_index
+from twohands.formats import ego3dhands as fmt
+from twohands.formats.instance_index import INDEX_FILE, MANIFEST_FILE, IndexEntry, parse_index
 
 
 def read_manifest(root: Path) -> dict[str, Any]:

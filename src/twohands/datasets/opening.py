@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal, TypeAlias, cast, get_args
 
-from twohands import ego3dhands_format as fmt
 from twohands.datasets import freihand, interhand, rhd, stb
 from twohands.datasets.base import HandDataset
 from twohands.datasets.ego3dhands import LABELS_ONLY
 from twohands.datasets.files import existing_folder
 from twohands.datasets.shards import ShardedEgo3DHands, open_ego3dhands
 from twohands.errors import InputError
+from twohands.formats import ego3dhands as fmt
 
 Kind: TypeAlias = Literal["ego3dhands", "stb", "rhd", "freihand", "interhand"]
 

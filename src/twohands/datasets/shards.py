@@ -9,12 +9,12 @@ from collections.abc import Mapping, Set
 from io import BytesIO
 from pathlib import Path
 
-from twohands import ego3dhands_format as fmt
 from twohands.datasets.ego3dhands import Ego3DHands, Ego3DHandsInstance, decode_instance
 from twohands.datasets.files import existing_folder
 from twohands.datasets.manifest import expected_hand_length_m
 from twohands.errors import DataFormatError, InputError
-from twohands.instance_index import (
+from twohands.formats import ego3dhands as fmt
+from twohands.formats.instance_index import (
     INDEX_FILE,
     SHARD_PATTERN,
     IndexEntry,

@@ -77,8 +77,8 @@ def _open_folder(
             FrameCache(folder, backgrounds, (cut, frames)),
         )
 
-    from twohands import ego3dhands_format as fmt
     from twohands.datasets.shards import open_ego3dhands
+    from twohands.formats import ego3dhands as fmt
 
     return split(open_ego3dhands(folder).leaving_out({fmt.DEPTH_FILE}), validation)
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from tests.datasets import fakes
 
-from twohands import ego3dhands_format as fmt
 from twohands.datasets.ego3dhands import Ego3DHands
 from twohands.datasets.inspection.contact_sheet import contact_sheet, draw_joints
 from twohands.datasets.inspection.inspect import inspect_dataset
+from twohands.formats import ego3dhands as fmt
 
 
 def test_sound_dataset_has_no_problem(tmp_path: Path) -> None:

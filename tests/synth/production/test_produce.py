@@ -13,7 +13,7 @@ from tests.synth.production.fake_production import FakeSet
 
 from twohands import files
 from twohands.errors import InputError, MissingExtraError
-from twohands.instance_index import digest, parse_index
+from twohands.formats.instance_index import digest, parse_index
 from twohands.synth.production import produce as production_module
 from twohands.synth.production import sinks
 from twohands.synth.production.executors import LocalProcesses, ordered

@@ -14,16 +14,16 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
-from twohands import ego3dhands_format as fmt
 from twohands.datasets.ego3dhands import Ego3DHands, Ego3DHandsInstance, decode_png
 from twohands.datasets.inspection.distributions import Distributions, Measurements
 from twohands.datasets.manifest import expected_hand_length_m, read_index
 from twohands.datasets.shards import ShardedEgo3DHands
 from twohands.errors import DataFormatError
+from twohands.formats import ego3dhands as fmt
+from twohands.formats.instance_index import INDEX_FILE, IndexEntry, digest
 from twohands.geometry.camera import project
 from twohands.geometry.canonical import canonical_from_camera
 from twohands.geometry.part_labels import hand_classes
-from twohands.instance_index import INDEX_FILE, IndexEntry, digest
 from twohands.skeleton import LEFT, PART_NAMES, RIGHT, ROOT, SIDES, WRIST, part_label
 
 REPROJECTION_TOLERANCE_PX = 0.01

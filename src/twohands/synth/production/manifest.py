@@ -11,10 +11,10 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from twohands import __version__
 from twohands.errors import InputError
 from twohands.files import partial_path, write_whole
-from twohands.instance_index import MANIFEST_FILE
+from twohands.formats.instance_index import MANIFEST_FILE
+from twohands.version import __version__
 
 MADE_WITH = "made_with"
 """Key of the manifest that lists the environments that have written to the folder; all others must not change."""

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from itertools import count
 from typing import Any
 
-from twohands import __version__
 from twohands.errors import InputError, MissingExtraError, RendererError, TwoHandsError
 from twohands.synth.production.executors import Opener, Result, ordered
+from twohands.version import __version__
 
 REACH_SECONDS = 5.0
 """How long the head of a cluster may take to answer."""

@@ -20,7 +20,7 @@ from typing import BinaryIO, Protocol
 
 from twohands.errors import DataFormatError, InputError
 from twohands.files import write_whole
-from twohands.instance_index import (
+from twohands.formats.instance_index import (
     INDEX_FILE,
     SHARD_PATTERN,
     IndexEntry,

@@ -17,8 +17,9 @@ import cv2
 import numpy as np
 
 from twohands.errors import DataFormatError, InputError
+from twohands.files import appearing
+from twohands.formats.instance_index import MANIFEST_FILE
 from twohands.geometry.camera import project
-from twohands.instance_index import MANIFEST_FILE
 from twohands.synth.backgrounds.base import Backgrounds
 from twohands.synth.backgrounds.behind import room_behind
 from twohands.synth.backgrounds.procedural import ProceduralBackgrounds
@@ -114,15 +115,13 @@ def build_cache(
 def _allocate(path: Path, shape: tuple[int, ...], dtype: type) -> None:
     """An array of zeros on disk, which appears whole or not at all. Its room is reserved: a worker that found the disk
     full while writing through a memory map would be killed."""
-    partial_path = path.with_name(f".{path.name}.partial")
     try:
-        np.lib.format.open_memmap(partial_path, mode="w+", dtype=dtype, shape=shape).flush()
-        if hasattr(os, "posix_fallocate"):
-            with partial_path.open("r+b") as file:
-                os.posix_fallocate(file.fileno(), 0, partial_path.stat().st_size)
-        os.replace(partial_path, path)
+        with appearing(path) as place:
+            np.lib.format.open_memmap(place, mode="w+", dtype=dtype, shape=shape).flush()
+            if hasattr(os, "posix_fallocate"):
+                with place.open("r+b") as file:
+                    os.posix_fallocate(file.fileno(), 0, place.stat().st_size)
     except OSError as error:
-        partial_path.unlink(missing_ok=True)
         raise InputError(f"{path}: cannot be written: {error.strerror}") from error
 
 

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from twohands.ego3dhands_format import instance_name
 from twohands.errors import InputError
+from twohands.formats.ego3dhands import instance_name
 from twohands.skeleton import LEFT, RIGHT
 from twohands.synth.backgrounds.clip_sources import ClipAssignment, ClipSource, assign_clips
 from twohands.synth.backgrounds.clips import Clip, open_clip

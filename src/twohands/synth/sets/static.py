@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from twohands.ego3dhands_format import instance_name
+from twohands.formats.ego3dhands import instance_name
 from twohands.synth.backgrounds.base import Backgrounds
 from twohands.synth.backgrounds.photographs import BackgroundFolder
 from twohands.synth.backgrounds.procedural import ProceduralBackgrounds

@@ -8,8 +8,8 @@ import json
 import cv2
 import numpy as np
 
-from twohands import ego3dhands_format as layout
 from twohands.errors import InputError
+from twohands.formats import ego3dhands as layout
 from twohands.geometry.camera import project
 from twohands.geometry.canonical import canonical_from_camera
 from twohands.geometry.rotation import centring_angles, rotation_from_angles

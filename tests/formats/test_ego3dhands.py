@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from twohands import ego3dhands_format as fmt
 from twohands.errors import DataFormatError
+from twohands.formats import ego3dhands as fmt
 
 
 @pytest.mark.parametrize(
