@@ -29,7 +29,7 @@ FAST := tests/geometry tests/formats tests/lifting tests/models tests/datasets/i
 	$(addprefix tests/inference/test_,clip_files.py handedness.py keypoints.py leaving.py placement.py records.py \
 	runtime.py tracker.py views.py) \
 	$(addprefix tests/training/test_,losses.py schedule.py) \
-	$(addprefix tests/test_,architecture.py pages.py plausibility.py skeleton.py)
+	$(addprefix tests/test_,architecture.py files.py pages.py plausibility.py skeleton.py)
 
 test-fast: environment
 	OMP_NUM_THREADS=1 $(BIN)/pytest --quiet --numprocesses 2 -m "not slow" $(FAST)
