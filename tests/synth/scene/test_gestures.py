@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from twohands.skeleton import LEFT, RIGHT
-from twohands.synth.scene import gestures
+from twohands.synth.scene import arm_goals, gestures, pair_gestures
+from twohands.synth.scene.arm_goals import ArmGoal
 from twohands.synth.scene.body import ARM_BONES, load_asset
-from twohands.synth.scene.gestures import ArmGoal, Outline, Stage
+from twohands.synth.scene.gestures import Stage
+from twohands.synth.scene.outline import Outline
 from twohands.synth.scene.pose import ANGLE_LIMITS, ArmAnatomy, rotation_about, unit
 
 BODY = load_asset().body()
@@ -17,8 +19,15 @@ ONE_HAND = [
     *(gestures.holding, gestures.holding_flat, gestures.reading_phone, gestures.reaching_down, gestures.behind_back),
 ]
 BOTH_HANDS = [
-    *(gestures.praying, gestures.clapping, gestures.clasped, gestures.steepled, gestures.stacked, gestures.framing),
-    *(gestures.folded, gestures.both_at_face, gestures.holding_between),
+    *(
+        pair_gestures.praying,
+        pair_gestures.clapping,
+        pair_gestures.clasped,
+        pair_gestures.steepled,
+        pair_gestures.stacked,
+        pair_gestures.framing,
+    ),
+    *(pair_gestures.folded, pair_gestures.both_at_face, pair_gestures.holding_between),
 ]
 
 
@@ -39,7 +48,7 @@ def test_most_people_can_make_every_gesture(gesture):
     fits = []
     for seed in range(12):
         goal = gesture(stage(RIGHT), np.random.default_rng(seed))
-        fits.append(gestures.solved(ArmAnatomy(BODY, RIGHT), goal, STILL).fits.any())
+        fits.append(arm_goals.solved(ArmAnatomy(BODY, RIGHT), goal, STILL).fits.any())
     assert np.mean(fits) > 0.6
 
 
@@ -54,7 +63,7 @@ def test_both_hands_make_every_gesture_together(pair):
             goal = ArmGoal(
                 goal.place * m, goal.along * m, goal.palm * m, goal.elbow * m, goal.angles, goal.at, goal.slack
             )
-            arms.append(gestures.solved(ArmAnatomy(BODY, side), goal, STILL).fits)
+            arms.append(arm_goals.solved(ArmAnatomy(BODY, side), goal, STILL).fits)
         fits.append((arms[0] & arms[1]).any())
     assert np.mean(fits) > 0.6
 
@@ -62,12 +71,12 @@ def test_both_hands_make_every_gesture_together(pair):
 @pytest.mark.parametrize("side", [LEFT, RIGHT])
 def test_a_solved_arm_puts_the_hand_where_and_as_it_was_asked(side):
     """Where the wrist's limits allow the orientation, the point is in place and the hand lies as asked."""
-    anatomy, n = ArmAnatomy(BODY, side), gestures.CANDIDATES
+    anatomy, n = ArmAnatomy(BODY, side), arm_goals.CANDIDATES
     goal = gestures.talking(stage(side), np.random.default_rng(3))
     m = np.array([-1.0 if side == LEFT else 1.0, 1, 1])
     goal = ArmGoal(goal.place * m, goal.along * m, goal.palm * m, goal.elbow * m, goal.angles, goal.at, slack=0.02)
     shoulder = np.c_[rotation_about(np.array([0.0, 0, 1]), 0.1), [0.01, -0.02, 0.0]]
-    arms = gestures.solved(anatomy, goal, shoulder)
+    arms = arm_goals.solved(anatomy, goal, shoulder)
     assert 0 < arms.fits.sum() <= n
     places = np.einsum("j,nja->na", goal.at, arms.joints)
     assert np.abs(places - goal.place)[arms.fits].max() < 0.006
@@ -79,9 +88,9 @@ def test_wrists_stay_within_their_limits():
     """The forearm's turn is shared out; together both parts are within the range of `ANGLE_LIMITS`."""
     anatomy = ArmAnatomy(BODY, RIGHT)
     goal = gestures.signing(stage(RIGHT), np.random.default_rng(0))
-    rotations = gestures.solved(anatomy, goal, STILL).rotations
+    rotations = arm_goals.solved(anatomy, goal, STILL).rotations
     half = rotations[:, ARM_BONES.index("lowerarm02")]
-    turn = np.arccos(np.clip((np.trace(half, axis1=1, axis2=2) - 1) / 2, -1, 1)) / gestures.SHARE_OF_TWIST
+    turn = np.arccos(np.clip((np.trace(half, axis1=1, axis2=2) - 1) / 2, -1, 1)) / arm_goals.SHARE_OF_TWIST
     widest = np.abs(ANGLE_LIMITS[0] - anatomy.pronation_rest).max()
     assert turn.max() <= widest + 1e-6
 

@@ -10,6 +10,8 @@ from twohands.geometry.camera import project
 from twohands.synth.scene import gestures, views, whole_people
 from twohands.synth.scene.body import bone
 from twohands.synth.scene.config import PEOPLE, PEOPLE_VIEWS, WILD, SynthConfig
+from twohands.synth.scene.figures import figure, sample_posture
+from twohands.synth.scene.posed_arms import pose_arms
 from twohands.synth.scene.sampling import inside_image
 from twohands.synth.scene.spec import moved
 from twohands.synth.scene.views import quarter_turns, sample_viewpoint
@@ -73,13 +75,13 @@ def test_other_people_are_smaller_in_the_picture():
 def test_no_hand_is_inside_its_own_body():
     """Within what flesh and cloth yield, for every gesture that is not hidden."""
     rng = np.random.default_rng(1)
-    person = whole_people.figure(sample_someone(rng))
+    person = figure(sample_someone(rng))
     done = 0
     for _ in range(60):
         viewpoint = sample_viewpoint(CONFIG, rng)
-        posture = whole_people.sample_posture(viewpoint, rng)
+        posture = sample_posture(viewpoint, rng)
         view = viewpoint.view
-        arms = whole_people.pose_arms(
+        arms = pose_arms(
             person, posture, (gestures.talking, gestures.signing), (False, False), view, viewpoint, CONFIG, rng
         )
         if arms is None:
