@@ -3,7 +3,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from twohands.synth.render.people import PARTS, person_mesh, strand_map, wrinkle_map
+from twohands.synth.render.people_maps import strand_map, wrinkle_map
+from twohands.synth.render.person_mesh import PARTS, person_mesh
 from twohands.synth.scene.appearance import sample_lighting, sample_skin
 from twohands.synth.scene.body import BONE_NAMES, forward_kinematics, posed_joints
 from twohands.synth.scene.config import SynthConfig

@@ -19,15 +19,9 @@ ONE_HAND = [
     *(gestures.holding, gestures.holding_flat, gestures.reading_phone, gestures.reaching_down, gestures.behind_back),
 ]
 BOTH_HANDS = [
-    *(
-        pair_gestures.praying,
-        pair_gestures.clapping,
-        pair_gestures.clasped,
-        pair_gestures.steepled,
-        pair_gestures.stacked,
-        pair_gestures.framing,
-    ),
-    *(pair_gestures.folded, pair_gestures.both_at_face, pair_gestures.holding_between),
+    *(pair_gestures.praying, pair_gestures.clapping, pair_gestures.clasped, pair_gestures.steepled),
+    *(pair_gestures.stacked, pair_gestures.framing, pair_gestures.folded, pair_gestures.both_at_face),
+    pair_gestures.holding_between,
 ]
 
 

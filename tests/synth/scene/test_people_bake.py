@@ -4,15 +4,8 @@ import numpy as np
 import pytest
 
 from twohands.errors import DataFormatError
-from twohands.synth.scene.people_bake import (
-    fit_basis,
-    metric_uv,
-    openness,
-    read_binding,
-    read_garment,
-    read_mesh,
-    samples_of,
-)
+from twohands.synth.scene.garments import metric_uv, read_binding, read_garment, read_mesh
+from twohands.synth.scene.people_bake import fit_basis, openness, samples_of
 from twohands.synth.scene.things import joined
 
 BINDING = """# a comment

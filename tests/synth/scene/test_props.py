@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from twohands.synth.scene import props
+from twohands.synth.scene.prop_meshes import slab
 
 RNG = np.random.default_rng
 MESHES = {
@@ -33,7 +34,7 @@ def test_faces_and_normals_agree_and_look_outwards(name, seed):
 
 
 def test_a_slab_is_as_large_as_asked():
-    mesh = props.slab((0.2, 0.3, 0.01), 0.02, np.full((4, 4, 3), 0.5), np.zeros(3), 0.5)
+    mesh = slab((0.2, 0.3, 0.01), 0.02, np.full((4, 4, 3), 0.5), np.zeros(3), 0.5)
     np.testing.assert_allclose(np.ptp(mesh.vertices, axis=0), [0.2, 0.3, 0.01])
     corner = np.abs(mesh.vertices[:, :2]) - [0.08, 0.13]
     assert (np.hypot(*corner[(corner > 0).all(1)].T) <= 0.02 + 1e-9).all()

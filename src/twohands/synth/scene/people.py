@@ -65,7 +65,7 @@ def body_bone(name: str) -> int:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Worn:
-    """A mesh bound to the body (`people_bake.Garment`), in the asset's frame and metres.
+    """A mesh bound to the body (`garments.Garment`), in the asset's frame and metres.
 
     Attributes:
         bind, weight: (V, 3) rows of the body's points and their weights.
@@ -74,7 +74,7 @@ class Worn:
         uv: (V, 2).
         faces: (F, 3) counter-clockwise from outside.
         hidden: (N,) bool, the body's points that lie under it.
-        zone: (V,) which fabric (`people_bake.zones`); zeros for all but outfits.
+        zone: (V,) which fabric (`garments.zones`); zeros for all but outfits.
         open: (V,) share of the light from all around that reaches it, at rest.
         first, same: one vertex of every place (P,), and the place of every vertex (V,): vertices are split at seams.
     """
