@@ -16,7 +16,7 @@ from benchmarks.real_pictures import Part
 from twohands.evaluation.completion import complete_hand, hand_lengths_m
 from twohands.evaluation.predictions import Predictions, predict
 from twohands.geometry.anatomy import HAND_LENGTH
-from twohands.geometry.segmentation import letterbox, network_input
+from twohands.geometry.network_input import letterbox, network_input
 from twohands.inference.engine import load_networks
 from twohands.inference.estimator import HandEstimator
 from twohands.inference.tracker import HandTracker

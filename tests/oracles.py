@@ -12,7 +12,7 @@ from tests.builders import make_sample
 from twohands.geometry.boxes import apply_homography, box_from_points
 from twohands.geometry.canonical import canonical_from_camera
 from twohands.geometry.heatmaps import encode_energy, encode_heatmaps
-from twohands.geometry.segmentation import network_input
+from twohands.geometry.network_input import network_input
 from twohands.inference.decision import DecisionConfig, PictureView, PlacementConfig, ViewConfig
 from twohands.inference.engine import Networks
 from twohands.inference.estimator import HandEstimator

@@ -6,17 +6,15 @@ from tests.oracles import drawn_hands, true_boxes
 
 from twohands.geometry.boxes import box_iou
 from twohands.geometry.heatmaps import encode_energy
+from twohands.geometry.network_input import canvas_size, letterbox, network_input
 from twohands.geometry.segmentation import (
     PRESENCE_THRESHOLD,
     boxes_from_energy,
-    canvas_size,
     certain_masks,
     energy_box,
     hand_scores,
-    letterbox,
     masks_from_logits,
     mean_of_views,
-    network_input,
     otsu_threshold,
     parted_boxes,
     parted_masks,

@@ -24,8 +24,9 @@ from twohands.geometry.boxes import apply_homography
 from twohands.geometry.camera import unproject
 from twohands.geometry.canonical import canonical_from_camera
 from twohands.geometry.heatmaps import encode_heatmaps
+from twohands.geometry.network_input import network_input
 from twohands.geometry.rotation import rotation_about_z
-from twohands.geometry.segmentation import HandBoxes, network_input
+from twohands.geometry.segmentation import HandBoxes
 from twohands.inference.engine import Networks
 from twohands.inference.estimator import HandEstimator
 from twohands.inference.keypoints import Keypoints, joint_boxes

@@ -13,7 +13,8 @@ from tests.oracles import write_tiny_weights
 from twohands.cli.demo import examples_folder
 from twohands.errors import CheckpointError
 from twohands.formats.pictures import list_images, read_image
-from twohands.geometry.segmentation import letterbox, masks_from_logits, network_input
+from twohands.geometry.network_input import letterbox, network_input
+from twohands.geometry.segmentation import masks_from_logits
 from twohands.inference.engine import OpenVinoNetwork, load_networks
 from twohands.inference.int8 import activation_peaks, quantise
 from twohands.inference.runtime import open_core, read_network

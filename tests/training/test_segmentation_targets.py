@@ -8,8 +8,8 @@ from tests.training.drawn import mirrored, sample
 
 from twohands.errors import DataFormatError, InputError
 from twohands.geometry.boxes import box_iou
+from twohands.geometry.network_input import LETTERBOX_GREY, letterbox
 from twohands.geometry.part_labels import hand_classes
-from twohands.geometry.segmentation import LETTERBOX_GREY, letterbox
 from twohands.skeleton import LEFT, RIGHT
 from twohands.training.hand_views import hand_box
 from twohands.training.segmentation_targets import NARROWEST, ZoomConfig, segmentation_target

@@ -20,7 +20,7 @@ from twohands.geometry.boxes import (
     square_crop,
 )
 from twohands.geometry.composition import compose_hand_input
-from twohands.geometry.segmentation import network_input
+from twohands.geometry.network_input import network_input
 from twohands.inference.weights import WeightsCard
 from twohands.skeleton import N_JOINTS, RIGHT
 from twohands.types import HandCrop, PinholeCamera

@@ -13,16 +13,14 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from twohands.geometry.network_input import canvas_size, letterbox, network_input
 from twohands.geometry.segmentation import (
     HandBoxes,
     box_evidence,
     boxes_from_energy,
-    canvas_size,
     hand_scores,
-    letterbox,
     masks_from_logits,
     mean_of_views,
-    network_input,
     parted_boxes,
     probability,
     unmirrored,

@@ -50,13 +50,13 @@ from typing import Any
 from twohands.errors import CheckpointError, DataFormatError
 from twohands.files import write_whole
 from twohands.formats.structured import parse_json
-from twohands.geometry.segmentation import STRIDE
+from twohands.geometry.network_input import STRIDE
 from twohands.inference.decision import DecisionConfig, PictureView, PlacementConfig, ViewConfig, overridden
 
 DEFAULT_PRESET = "fast"
 CARD_VERSION = 2
 NETWORK_INPUT = "(x - 128) / 256"
-"""What `geometry.segmentation.network_input` does with a picture's values; a card may say so, and nothing else."""
+"""What `geometry.network_input.network_input` does with a picture's values; a card may say so, and nothing else."""
 NETWORK_NAMES = ("hand_seg_net", "pose_net_2d", "pose_net_3d")
 CROP_KINDS = ("square", "perspective")
 HEATMAP_DECODERS = ("subpixel", "softargmax")

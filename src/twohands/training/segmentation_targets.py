@@ -9,8 +9,8 @@ import numpy as np
 
 from twohands.errors import DataFormatError, InputError
 from twohands.geometry.boxes import box_in_picture, inside_picture
+from twohands.geometry.network_input import LETTERBOX_GREY, letterbox
 from twohands.geometry.part_labels import hand_classes
-from twohands.geometry.segmentation import LETTERBOX_GREY, letterbox
 from twohands.training.hand_views import boxes_inside, hand_points, kept_inside, random_roll
 from twohands.training.transforms import PhotometricConfig, jitter_colours, nearest_cells
 from twohands.types import HandSample

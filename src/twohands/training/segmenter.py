@@ -10,14 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from twohands.geometry.segmentation import (
-    boxes_from_energy,
-    canvas_size,
-    hand_scores,
-    letterbox,
-    masks_from_logits,
-    network_input,
-)
+from twohands.geometry.network_input import canvas_size, letterbox, network_input
+from twohands.geometry.segmentation import boxes_from_energy, hand_scores, masks_from_logits
 from twohands.models.blocks import fold_batch_norm
 from twohands.models.checkpoint import load_network
 from twohands.models.hand_seg_net import HandSegNetConfig
