@@ -35,15 +35,15 @@ from twohands.evaluation.protocols import metrics_of
 from twohands.evaluation.report import format_number
 from twohands.evaluation.summary import markdown_table
 from twohands.geometry.projection import Method, project_global, range_weights
-from twohands.inference.budget import STUDIES
 from twohands.inference.decision import PictureView
 from twohands.inference.engine import Networks, load_networks
 from twohands.inference.estimator import HandEstimator
-from twohands.inference.ground_truth import HeatmapTargets, TruthfulEstimator
 from twohands.inference.keypoints import read_out
-from twohands.inference.smoothing_sweep import smoothing_sweep
 from twohands.inference.stages import Stages
 from twohands.inference.weights import DEFAULT_PRESET, WeightsCard, preset_folder, read_card, weights_id
+from twohands.studies.budget import STUDIES
+from twohands.studies.ground_truth import HeatmapTargets, TruthfulEstimator
+from twohands.studies.smoothing_sweep import smoothing_sweep
 from twohands.types import GlobalPose, HandCrop, HandSample, PinholeCamera, TwoHandPose
 
 Estimate = Callable[[HandSample], TwoHandPose]

@@ -7,7 +7,7 @@ import pytest
 
 from twohands.cli import bench
 from twohands.cli.main import main
-from twohands.inference.stage_times import ROWS
+from twohands.studies.stage_times import ROWS
 
 
 def test_json_and_table_name_every_stage_and_the_machine(capsys):

@@ -15,13 +15,13 @@ from twohands.cli.main import main as twohands
 from twohands.evaluation.completion import complete_hand, hand_lengths_m
 from twohands.geometry.camera import project
 from twohands.geometry.heatmaps import decode_argmax
-from twohands.inference.budget import STUDIES, solved_again
 from twohands.inference.engine import Networks
 from twohands.inference.estimator import HandEstimator
-from twohands.inference.ground_truth import HeatmapTargets, TruthfulEstimator
 from twohands.inference.keypoints import read_joints
 from twohands.inference.tracker import moved_to_range
 from twohands.skeleton import ROOT, WRIST
+from twohands.studies.budget import STUDIES, solved_again
+from twohands.studies.ground_truth import HeatmapTargets, TruthfulEstimator
 from twohands.types import HandCrop, TwoHandPose
 
 CARD = make_card()

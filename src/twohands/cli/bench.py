@@ -22,8 +22,8 @@ from twohands.errors import InputError
 from twohands.formats.camera_files import camera_for_image, read_camera
 from twohands.formats.pictures import list_images, read_image
 from twohands.inference.estimator import HandEstimator
-from twohands.inference.stage_times import ROWS, StageClock, timed_estimate
 from twohands.inference.weights import DEFAULT_PRESET
+from twohands.studies.stage_times import ROWS, StageClock, timed_estimate
 from twohands.types import PinholeCamera
 
 WARM_UP = 5

@@ -43,7 +43,7 @@ def results_page(
 
     Args:
         summaries: a report each; one section a data set.
-        sweeps: JSON values of `inference.smoothing_sweep.Sweep`, one table each.
+        sweeps: JSON values of `studies.smoothing_sweep.Sweep`, one table each.
         command: what makes the page again.
         notes: what a reader must know.
 

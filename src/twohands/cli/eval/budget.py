@@ -17,10 +17,10 @@ from twohands.datasets.opening import DatasetOptions, open_dataset
 from twohands.errors import InputError
 from twohands.evaluation.predictions import Fingerprint, Predictions
 from twohands.evaluation.summary import budget_costs, budget_results
-from twohands.inference.budget import STUDIES, VERSION, Study, error_budget, studies_without_masks
 from twohands.inference.estimator import HandEstimator
-from twohands.inference.ground_truth import HeatmapTargets, TruthfulEstimator
 from twohands.inference.weights import DEFAULT_PRESET, preset_folder, weights_id
+from twohands.studies.budget import STUDIES, VERSION, Study, error_budget, studies_without_masks
+from twohands.studies.ground_truth import HeatmapTargets, TruthfulEstimator
 from twohands.types import HandSample, TwoHandPose
 
 

@@ -14,7 +14,7 @@ from twohands.cli.output import write_file
 from twohands.datasets.opening import DatasetOptions, open_dataset
 from twohands.evaluation.predictions import load_predictions
 from twohands.evaluation.results import sweep_findings, sweep_table
-from twohands.inference.smoothing_sweep import DEGREES, LENGTHS, VERSION, smoothing_sweep
+from twohands.studies.smoothing_sweep import DEGREES, LENGTHS, VERSION, smoothing_sweep
 
 
 @dataclass(frozen=True)

@@ -16,12 +16,12 @@ from twohands.datasets.opening import OpenedDataset
 from twohands.errors import InputError
 from twohands.evaluation.predictions import Predictions, predict
 from twohands.inference.estimator import HandEstimator
-from twohands.inference.ground_truth import HeatmapTargets, Stage, TruthfulEstimator
 from twohands.inference.leaving import CARRIED_FRAMES
 from twohands.inference.video import VideoEstimator
 from twohands.inference.weights import DEFAULT_PRESET, preset_folder, weights_id
 from twohands.peers.base import Handedness
 from twohands.peers.mediapipe_hands import MediaPipeHands, Placement
+from twohands.studies.ground_truth import HeatmapTargets, Stage, TruthfulEstimator
 from twohands.types import HandSample, TwoHandPose
 
 

@@ -11,12 +11,12 @@ from twohands.errors import CheckpointError, InputError
 from twohands.evaluation.completion import hand_lengths_m
 from twohands.evaluation.predictions import predict
 from twohands.evaluation.summary import budget_costs, budget_results
-from twohands.inference.budget import STUDIES, error_budget, solved_again, studies_without_masks
 from twohands.inference.estimator import HandEstimator
-from twohands.inference.ground_truth import STAGES, HeatmapTargets, TruthfulEstimator, stage_truth, true_heatmaps
 from twohands.inference.keypoints import read_joints
 from twohands.inference.stages import StageTruth
 from twohands.skeleton import LEFT, RIGHT
+from twohands.studies.budget import STUDIES, error_budget, solved_again, studies_without_masks
+from twohands.studies.ground_truth import STAGES, HeatmapTargets, TruthfulEstimator, stage_truth, true_heatmaps
 from twohands.types import HandSample
 
 

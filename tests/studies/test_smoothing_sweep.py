@@ -10,9 +10,9 @@ from twohands.errors import InputError
 from twohands.evaluation.comparison import compare
 from twohands.evaluation.completion import complete_hand
 from twohands.evaluation.predictions import Predictions, predict
-from twohands.inference.smoothing_sweep import smoothing_sweep, with_smooth_ranges
 from twohands.inference.tracker import DEFAULT_SMOOTHING, HandTracker, RangeSmoothing, moved_to_range
 from twohands.skeleton import ROOT
+from twohands.studies.smoothing_sweep import smoothing_sweep, with_smooth_ranges
 from twohands.types import HandPose, HandSample, TwoHandPose
 
 STEPS_M = (0.0, 0.03, 0.0, -0.03, 0.0, 0.03)

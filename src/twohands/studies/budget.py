@@ -21,7 +21,7 @@ from twohands.evaluation.predictions import Predictions, predict
 from twohands.evaluation.protocols import metrics_of
 from twohands.evaluation.report import Metric
 from twohands.geometry.projection import Method, project_global, range_weights
-from twohands.inference.ground_truth import Stage
+from twohands.studies.ground_truth import Stage
 from twohands.types import HandSample, PinholeCamera, TwoHandPose
 
 VERSION: Final = 2

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tests.oracles import Oracle, drawn_hands, make_card
 
-from twohands.inference.stage_times import ROWS, StageClock, timed_estimate
+from twohands.studies.stage_times import ROWS, StageClock, timed_estimate
 
 
 class Ticks:

@@ -1,0 +1,1 @@
+"""The pipeline taken apart: truth in place of stages, error budgets, settings compared, time by stage."""
