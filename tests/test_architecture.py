@@ -12,27 +12,40 @@ import pytest
 import twohands
 
 PACKAGE = Path(twohands.__file__).parent
+ROOT = Path(__file__).parents[1]
 
 STOREYS = [
     {"types", "skeleton", "errors", "files", "formats", "plausibility", "version"},
     {"geometry"},
     {"synth", "datasets", "models", "evaluation"},
     {"training", "inference", "peers"},
-    {"visualization", "export", "lifting"},
+    {"visualization", "export", "lifting", "studies"},
     {"cli"},
 ]
 """Rooms from the ground up. A room may use itself and lower storeys, never its own storey's neighbours. The ground
 floor is the exception: its modules may use each other."""
 STOREY = {room: level for level, rooms in enumerate(STOREYS) for room in rooms}
 
-SYNTH_ROOMS = {
-    "backgrounds": set(),
-    "production": set(),
-    "scene": {"backgrounds"},
-    "render": {"backgrounds", "scene"},
-    "sets": {"backgrounds", "production", "scene", "render"},
+APART = {"inference": {"evaluation", "synth", "datasets", "models"}}
+"""Rooms of lower storeys that a room may not use all the same: what runs at a user's measures, renders and trains
+nothing."""
+
+FLOOR = ""
+SUB_ROOMS = {
+    "synth": {
+        "backgrounds": set(),
+        "production": set(),
+        "scene": {"backgrounds"},
+        "render": {"backgrounds", "scene"},
+        "sets": {"backgrounds", "production", "scene", "render"},
+    },
+    "datasets": {FLOOR: set(), "inspection": {FLOOR}},
+    "cli": {FLOOR: set(), "eval": {FLOOR}},
 }
-"""Rooms of synth, and the others that each may use; every module of synth lives in one of them."""
+"""Rooms within rooms, and the others of the same room that each may use; FLOOR are modules in none of them."""
+
+PROGRAMS = {"scripts": {"tests.fuzz"}, "benchmarks": {"tests.builders"}}
+"""Folders of programs, and what of the tests each may use. They stand on the package, and nothing stands on them."""
 
 EXTRAS = {
     "torch": {"models", "training", "export"},
@@ -50,7 +63,11 @@ EXTRAS = {
 """Optional packages, and the rooms whose modules may need them to be imported; elsewhere only inside functions."""
 
 GEOMETRY_NEEDS = {"numpy", "array_api_compat", "cv2"}
-ONLY_CLI = {"argparse", "tyro"}
+ONLY_CLI = {"argparse", "tyro", "rich"}
+STREAMS = {"stdout", "stderr", "__stdout__", "__stderr__"}
+SPEAKERS = {"twohands.peers.mediapipe_worker", "twohands.synth.render.blender"}
+"""Modules that must touch the standard streams: a program whose answers are lines, and the one that keeps Blender's
+words off them."""
 
 
 def modules(package: Path) -> list[Path]:
@@ -90,60 +107,96 @@ def dotted_name(path: Path, package: Path) -> str:
     return ".".join(path.relative_to(package.parent).with_suffix("").parts)
 
 
+def room_of(module: str) -> str:
+    """The room of a module of the package; that of `twohands/__init__.py` and `__main__.py` is no room."""
+    return module.split(".")[1]
+
+
 def rooms_used(source: str, module: str) -> set[str]:
     return {name.split(".")[1] for name in imported(source, module) if name.startswith("twohands.")}
 
 
 def forbidden_rooms(source: str, module: str) -> set[str]:
     """Rooms a module imports against the direction of the house."""
-    room = module.split(".")[1]
-    return {
-        other
-        for other in rooms_used(source, module)
-        if other in STOREY and other != room and STOREY[other] >= STOREY[room] and STOREY[room] > 0
-    } | {other for other in rooms_used(source, module) if STOREY[room] == 0 and STOREY.get(other, 0) > 0}
-
-
-def forbidden_synth_rooms(source: str, module: str) -> set[str]:
-    """Other rooms of synth that a module of synth may not import, and its own place where that is none of them."""
-    _, place, *rooms = module.split(".")
-    if place != "synth" or rooms == ["__init__"]:
+    room = room_of(module)
+    if room not in STOREY:
         return set()
-    room = rooms[0]
-    if room not in SYNTH_ROOMS or len(rooms) == 1:
-        return {"in no room of synth"}
-    parts = [name.split(".") for name in imported(source, module) if name.startswith("twohands.synth.")]
-    return {part[2] for part in parts} - SYNTH_ROOMS[room] - {room}
+    used = {other for other in rooms_used(source, module) if other in STOREY and other != room}
+    return {other for other in used if STOREY[other] > STOREY[room] or STOREY[other] == STOREY[room] > 0} | (
+        used & APART.get(room, set())
+    )
 
 
-def violations(package: Path, check) -> list[str]:
-    """Every module inside a room for which `check(source, dotted name)` returns something."""
+def front_door(source: str, module: str) -> set[str]:
+    """Public names of the package itself, which would bring along whatever room they live in."""
+    if room_of(module) not in STOREY:
+        return set()
+    names = {name for name in imported(source, module) if name.split(".")[0] == "twohands"}
+    return {name for name in names if name == "twohands" or name.split(".")[1] not in STOREY}
+
+
+def forbidden_sub_rooms(source: str, module: str) -> set[str]:
+    """Other rooms of the same room that a module may not import, and its own place where that is none of them."""
+    room = room_of(module)
+    if room not in SUB_ROOMS or module == f"twohands.{room}.__init__":
+        return set()
+    allowed = SUB_ROOMS[room]
+
+    def place(parts: list[str]) -> str:
+        return parts[2] if len(parts) > 3 or parts[2] in allowed else FLOOR
+
+    own = place(module.split("."))
+    if own not in allowed:
+        return {f"in no room of {room}"}
+    used = {place(name.split(".")) for name in imported(source, module) if name.startswith(f"twohands.{room}.")}
+    return {other or "the floor" for other in used & allowed.keys() - allowed[own] - {own}}
+
+
+def private_names(source: str, module: str) -> set[str]:
+    """Names with a leading underscore of other rooms."""
+    home = ".".join(module.split(".")[:2]) + "."
+    names = {name for name in imported(source, module) if name.startswith("twohands.") and not name.startswith(home)}
+    return {name for name in names if any(part[0] == "_" != part[1] for part in name.split("."))}
+
+
+def program_strangers(source: str, module: str) -> set[str]:
+    """What a program imports of our own beside the package and its own folder."""
+    folder = module.split(".")[0]
+    names = {name for name in imported(source, module) if name.split(".")[0] in {"tests", *PROGRAMS} - {folder}}
+    return {name for name in names if not any(name.startswith(f"{part}.") for part in PROGRAMS.get(folder, ()))}
+
+
+def violations(folder: Path, check) -> list[str]:
+    """Every module below a folder for which `check(source, dotted name)` returns something."""
     found: list[str] = []
-    for path in modules(package):
-        module = dotted_name(path, package)
-        if module.split(".")[1] in STOREY:
-            found += [f"{module}: {what}" for what in sorted(check(path.read_text(encoding="utf-8"), module))]
+    for path in modules(folder):
+        module = dotted_name(path, folder)
+        found += [f"{module}: {what}" for what in sorted(check(path.read_text(encoding="utf-8"), module))]
     return found
 
 
 def forbidden_extras(source: str, module: str) -> set[str]:
     roots = {name.split(".")[0] for name in imported(source, module, at_import_time_only=True)}
-    return {root for root in roots if root in EXTRAS and module.split(".")[1] not in EXTRAS[root]}
+    return {root for root in roots if root in EXTRAS and room_of(module) not in EXTRAS[root]}
 
 
 def spoken(source: str, module: str) -> set[str]:
-    """Things only the command line may do: print, and parse arguments. A module run as a script may speak as well."""
-    if module.split(".")[1] == "cli":
+    """Things only the command line may do: print, write to the standard streams, and parse arguments. A module run as a
+    script may speak as well."""
+    if room_of(module) in ("cli", "__main__"):
         return set()
     body = [node for node in ast.parse(source).body if not ast.unparse(node).startswith("if __name__ == '__main__'")]
     nodes = [node for statement in body for node in ast.walk(statement)]
-    calls = {"print" for node in nodes if isinstance(node, ast.Call) and ast.unparse(node.func) == "print"}
-    return calls | {root for root in (name.split(".")[0] for name in imported(source, module)) if root in ONLY_CLI}
+    found = {"print" for node in nodes if isinstance(node, ast.Call) and ast.unparse(node.func) == "print"}
+    if module not in SPEAKERS:
+        found |= {f"sys.{node.attr}" for node in nodes if isinstance(node, ast.Attribute) and node.attr in STREAMS}
+        found |= imported(source, module) & {f"sys.{name}" for name in STREAMS}
+    return found | {root for root in (name.split(".")[0] for name in imported(source, module)) if root in ONLY_CLI}
 
 
 def geometry_strangers(source: str, module: str) -> set[str]:
     """Geometry is pure: numbers in, numbers out."""
-    if module.split(".")[1] != "geometry":
+    if room_of(module) != "geometry":
         return set()
     roots = {name.split(".")[0] for name in imported(source, module)}
     files = roots & {"io", "os", "pathlib", "shutil", "tempfile", "subprocess", "socket", "urllib"}
@@ -154,24 +207,41 @@ def test_every_module_lives_in_a_known_room():
     unknown = {
         module
         for module in (dotted_name(path, PACKAGE) for path in modules(PACKAGE))
-        if module.split(".")[1] not in {*STOREY, "__init__", "__main__"}
+        if room_of(module) not in {*STOREY, "__init__", "__main__"}
     }
     assert not unknown, "new rooms must be given a storey in this test"
 
 
-@pytest.mark.parametrize(
-    "check",
-    [forbidden_rooms, forbidden_synth_rooms, forbidden_extras, spoken, geometry_strangers],
-    ids=lambda check: check.__name__,
-)
+PACKAGE_RULES = [
+    *(forbidden_rooms, front_door, forbidden_sub_rooms, private_names, program_strangers),
+    *(forbidden_extras, spoken, geometry_strangers),
+]
+
+
+@pytest.mark.parametrize("check", PACKAGE_RULES, ids=lambda check: check.__name__)
 def test_house_rule(check):
     assert violations(PACKAGE, check) == []
 
 
-def test_rooms_of_synth_stand_on_each_other():
+@pytest.mark.parametrize("check", [private_names, program_strangers], ids=lambda check: check.__name__)
+@pytest.mark.parametrize("folder", PROGRAMS)
+def test_programs_use_what_the_package_shows(folder: str, check):
+    assert modules(ROOT / folder), f"{folder}: no programs"
+    assert violations(ROOT / folder, check) == []
+
+
+def test_sub_rooms_are_those_that_are_there():
+    """Every folder with modules within a room is given its place here, and none that is not there."""
+    folders = {(path.parent.parent.name, path.parent.name) for path in PACKAGE.glob("*/*/*.py")}
+    listed = {(room, sub) for room, subs in SUB_ROOMS.items() for sub in subs if sub != FLOOR}
+    assert folders == listed
+
+
+@pytest.mark.parametrize("room", SUB_ROOMS)
+def test_rooms_within_a_room_stand_on_each_other(room: str):
     """At most ten arrows and no circle: rooms can be left one after the other, those that nobody needs first."""
-    assert sum(map(len, SYNTH_ROOMS.values())) <= 10
-    standing = dict(SYNTH_ROOMS)
+    assert sum(map(len, SUB_ROOMS[room].values())) <= 10
+    standing = dict(SUB_ROOMS[room])
     while standing:
         needed = set().union(*standing.values())
         tops = standing.keys() - needed
@@ -190,25 +260,60 @@ def test_rooms_of_synth_stand_on_each_other():
         (forbidden_rooms, "synth/b.py", "from twohands import datasets", ["twohands.synth.b: datasets"]),
         (forbidden_rooms, "types.py", "import twohands.geometry.boxes", ["twohands.types: geometry"]),
         (forbidden_rooms, "types.py", "from twohands.errors import InputError", []),
+        (forbidden_rooms, "inference/a.py", "import twohands.evaluation.metrics", ["twohands.inference.a: evaluation"]),
+        (
+            front_door,
+            "geometry/a.py",
+            "from twohands import HandEstimator",
+            ["twohands.geometry.a: twohands.HandEstimator"],
+        ),
+        (front_door, "geometry/a.py", "def f():\n    from .. import lift", ["twohands.geometry.a: twohands.lift"]),
+        (front_door, "cli/a.py", "import twohands", ["twohands.cli.a: twohands"]),
+        (front_door, "geometry/a.py", "from twohands import types", []),
+        (front_door, "__main__.py", "from twohands import lift", []),
         (forbidden_rooms, "cli/c.py", "from twohands.synth import x\nfrom . import y", []),
         (forbidden_rooms, "geometry/a.py", "from . import boxes\nfrom twohands.types import Array", []),
-        (forbidden_synth_rooms, "synth/a.py", "", ["twohands.synth.a: in no room of synth"]),
-        (forbidden_synth_rooms, "synth/attic/a.py", "", ["twohands.synth.attic.a: in no room of synth"]),
-        (forbidden_synth_rooms, "synth/scene/a.py", "from ..render import x", ["twohands.synth.scene.a: render"]),
+        (forbidden_sub_rooms, "synth/a.py", "", ["twohands.synth.a: in no room of synth"]),
+        (forbidden_sub_rooms, "synth/attic/a.py", "", ["twohands.synth.attic.a: in no room of synth"]),
+        (forbidden_sub_rooms, "synth/scene/a.py", "from ..render import x", ["twohands.synth.scene.a: render"]),
         (
-            forbidden_synth_rooms,
+            forbidden_sub_rooms,
             "synth/scene/a.py",
             "from twohands.synth import sets",
             ["twohands.synth.scene.a: sets"],
         ),
-        (forbidden_synth_rooms, "synth/render/a.py", "from twohands.synth.scene.body import x", []),
-        (forbidden_synth_rooms, "training/a.py", "from twohands.synth.sets import cache", []),
+        (forbidden_sub_rooms, "synth/render/a.py", "from twohands.synth.scene.body import x", []),
+        (forbidden_sub_rooms, "training/a.py", "from twohands.synth.sets import cache", []),
+        (
+            forbidden_sub_rooms,
+            "datasets/a.py",
+            "from .inspection import inspect",
+            ["twohands.datasets.a: inspection"],
+        ),
+        (forbidden_sub_rooms, "datasets/inspection/a.py", "from twohands.datasets.base import HandDataset", []),
+        (forbidden_sub_rooms, "datasets/attic/a.py", "", ["twohands.datasets.attic.a: in no room of datasets"]),
+        (forbidden_sub_rooms, "cli/track.py", "from twohands.cli import eval", ["twohands.cli.track: eval"]),
+        (forbidden_sub_rooms, "cli/eval/a.py", "from twohands.cli.output import write_file", []),
+        (
+            private_names,
+            "cli/a.py",
+            "from twohands.geometry.boxes import _x",
+            ["twohands.cli.a: twohands.geometry.boxes._x"],
+        ),
+        (private_names, "geometry/a.py", "from twohands.geometry._arrays import namespace", []),
+        (private_names, "cli/a.py", "from twohands.version import __version__", []),
+        (program_strangers, "cli/a.py", "from benchmarks import real_hands", ["twohands.cli.a: benchmarks.real_hands"]),
+        (program_strangers, "cli/a.py", "from tests.builders import x", ["twohands.cli.a: tests.builders.x"]),
         (forbidden_extras, "inference/d.py", "import torch.nn", ["twohands.inference.d: torch"]),
         (forbidden_extras, "inference/d.py", "def f():\n    import torch", []),
         (forbidden_extras, "models/d.py", "import torch", []),
         (spoken, "models/e.py", "print(1)", ["twohands.models.e: print"]),
         (spoken, "models/e.py", "if __name__ == '__main__':\n    print(1)", []),
         (spoken, "models/e.py", "import argparse", ["twohands.models.e: argparse"]),
+        (spoken, "models/e.py", "from rich import print", ["twohands.models.e: rich"]),
+        (spoken, "models/e.py", "def f():\n    from rich.console import Console", ["twohands.models.e: rich"]),
+        (spoken, "models/e.py", "import sys\nsys.stdout.write('1')", ["twohands.models.e: sys.stdout"]),
+        (spoken, "models/e.py", "from sys import stderr", ["twohands.models.e: sys.stderr"]),
         (spoken, "cli/e.py", "import tyro\nprint(1)", []),
         (geometry_strangers, "geometry/f.py", "import scipy", ["twohands.geometry.f: scipy"]),
         (geometry_strangers, "geometry/f.py", "from pathlib import Path", ["twohands.geometry.f: pathlib"]),
@@ -221,6 +326,23 @@ def test_the_rules_can_be_broken(tmp_path, check, path, source, expected):
     file.parent.mkdir(parents=True)
     file.write_text(source, encoding="utf-8")
     assert violations(tmp_path / "twohands", check) == expected
+
+
+@pytest.mark.parametrize(
+    ("check", "source", "expected"),
+    [
+        (program_strangers, "from benchmarks.real_hands import x", ["scripts.a: benchmarks.real_hands.x"]),
+        (program_strangers, "from tests.oracles import x", ["scripts.a: tests.oracles.x"]),
+        (program_strangers, "from tests.fuzz.mutations import KINDS", []),
+        (program_strangers, "from scripts import fuzz\nimport twohands", []),
+        (private_names, "from twohands.geometry.boxes import _x", ["scripts.a: twohands.geometry.boxes._x"]),
+    ],
+)
+def test_the_rules_of_programs_can_be_broken(tmp_path, check, source, expected):
+    """The same for a script."""
+    (tmp_path / "scripts").mkdir()
+    (tmp_path / "scripts" / "a.py").write_text(source, encoding="utf-8")
+    assert violations(tmp_path / "scripts", check) == expected
 
 
 def test_import_is_light():
