@@ -80,17 +80,16 @@ def test_results_are_written_now_and_then(weights, tmp_path, monkeypatch):
 
 def test_a_full_disk_keeps_what_is_done(weights, tmp_path, monkeypatch, capsys):
     folder, out = folder_of_pictures(tmp_path / "in", 4), tmp_path / "out"
-    write = os.fdopen
+    write = Path.write_bytes
 
-    def full(handle, *args):
-        file = write(handle, *args)
-        if "2_overlay" in os.readlink(f"/proc/self/fd/{handle}"):
-            file.close()
-            raise OSError(28, "No space left on device")
-        return file
+    def full(path: Path, content: bytes) -> int:
+        if "2_overlay" not in path.name:
+            return write(path, content)
+        write(path, content[: len(content) // 2])
+        raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(track, "_write_views", lambda *_: True)
-    monkeypatch.setattr("twohands.cli.output.os.fdopen", full)
+    monkeypatch.setattr(Path, "write_bytes", full)
     assert main(["track", str(folder), "--out", str(out), "--weights", weights]) == 2
     assert "2_overlay.png: cannot be written: No space left on device" in capsys.readouterr().err
     assert len(json.loads((out / "hands.json").read_text())["frames"]) == 2
