@@ -64,7 +64,7 @@ EXTRAS = {
 
 GEOMETRY_NEEDS = {"numpy", "array_api_compat", "cv2"}
 ONLY_CLI = {"argparse", "tyro", "rich"}
-STREAMS = {"stdout", "stderr", "__stdout__", "__stderr__"}
+STREAMS = {"sys.stdout", "sys.stderr", "sys.__stdout__", "sys.__stderr__"}
 SPEAKERS = {"twohands.peers.mediapipe_worker", "twohands.synth.render.blender"}
 """Modules that must touch the standard streams: a program whose answers are lines, and the one that keeps Blender's
 words off them."""
@@ -189,8 +189,8 @@ def spoken(source: str, module: str) -> set[str]:
     nodes = [node for statement in body for node in ast.walk(statement)]
     found = {"print" for node in nodes if isinstance(node, ast.Call) and ast.unparse(node.func) == "print"}
     if module not in SPEAKERS:
-        found |= {f"sys.{node.attr}" for node in nodes if isinstance(node, ast.Attribute) and node.attr in STREAMS}
-        found |= imported(source, module) & {f"sys.{name}" for name in STREAMS}
+        found |= {ast.unparse(node) for node in nodes if isinstance(node, ast.Attribute)} & STREAMS
+        found |= imported(source, module) & STREAMS
     return found | {root for root in (name.split(".")[0] for name in imported(source, module)) if root in ONLY_CLI}
 
 

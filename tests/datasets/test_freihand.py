@@ -67,7 +67,7 @@ def test_cut_off_files_are_named(tmp_path: Path, name: str, keep: float) -> None
 def test_labels_that_do_not_fit_are_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such folder"):
         FreiHAND(tmp_path / "nowhere")
-    with pytest.raises(DataFormatError, match=r"evaluation_xyz\.json: no such file"):
+    with pytest.raises(DataFormatError, match=r"evaluation_xyz\.json: no such JSON file"):
         FreiHAND(tmp_path)
     write_freihand(tmp_path)
     (tmp_path / "evaluation_K.json").write_text(json.dumps([K] * 3))

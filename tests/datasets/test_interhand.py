@@ -98,7 +98,7 @@ def test_single_joints_may_be_unlabelled(tmp_path: Path) -> None:
 def test_older_releases_keep_labels_in_subsets(tmp_path: Path) -> None:
     write_interhand(tmp_path, content(), folder="human_annot")
     assert len(InterHand(tmp_path, subset="human_annot")) == 1
-    with pytest.raises(DataFormatError, match=r"InterHand2\.6M_test_data\.json: no such file"):
+    with pytest.raises(DataFormatError, match=r"InterHand2\.6M_test_data\.json: no such JSON file"):
         InterHand(tmp_path)
 
 
