@@ -26,7 +26,7 @@ import cv2
 import numpy as np
 from benchmarks.real_hands import PHOTO_FOV, list_photos, read_ge2019, typical_hand_length_m
 
-from twohands.cli.track import assumed_camera
+from twohands.cli.known import assumed_camera
 from twohands.datasets.digits import LABELS_FILE, Digits
 from twohands.datasets.ego3dhands import Ego3DHands
 from twohands.datasets.files import existing_folder, read_json

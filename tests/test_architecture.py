@@ -19,7 +19,7 @@ STOREYS = [
     {"geometry"},
     {"synth", "datasets", "models", "evaluation"},
     {"training", "inference", "peers"},
-    {"visualization", "export", "lifting", "studies"},
+    {"visualization", "export", "lifting", "calibration", "studies"},
     {"cli"},
 ]
 """Rooms from the ground up. A room may use itself and lower storeys, never its own storey's neighbours. The ground

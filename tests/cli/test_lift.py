@@ -102,7 +102,7 @@ def test_openpose_takes_shapes_from_our_results(folder, capsys):
         (["--out", "{}/x.json", "--hand-length", "0"], "--hand-length must be a positive"),
         (["--out", "{}/x.json", "--bone-length", "nan"], "--bone-length must be a positive"),
         (["--out", "{}/x.json", "--bone-length", "9", "--hand-length", "9"], "not both"),
-        (["--out", "{}/x.json", "--fov", "60"], "give --camera FILE, or --fov DEG"),
+        (["--out", "{}/x.json", "--fov", "60"], "give --camera or --fov, not both"),
         (["--out", "{}/x.json", "--kind", "mano"], "no mano's results; found a list of 2"),
         (["--out", "{}/x.json", "--pose", "{}/nothing.json"], "no such hands.json"),
         (["--out", "{}/x.json", "--pose", "{}/camera.json"], "version 1 expected"),

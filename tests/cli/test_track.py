@@ -11,6 +11,7 @@ import pytest
 from tests.oracles import write_tiny_weights
 
 from twohands.cli import demo, track
+from twohands.cli.known import assumed_camera
 from twohands.cli.main import main
 from twohands.errors import InputError
 from twohands.inference.records import from_dict
@@ -120,7 +121,7 @@ def test_what_is_hard_to_believe_is_one_line_that_names_the_likely_unit(
 
 
 def test_an_assumed_camera_has_one_focal_length_however_it_is_held():
-    lying, standing = track.assumed_camera(640, 480), track.assumed_camera(480, 640)
+    lying, standing = assumed_camera(640, 480), assumed_camera(480, 640)
     assert lying.fx == lying.fy == standing.fx == standing.fy == pytest.approx(320 * 3**0.5)
     assert (standing.cx, standing.cy, standing.width, standing.height) == (240, 320, 480, 640)
 

@@ -44,7 +44,7 @@ def run(args: DemoArgs) -> int:
     images = [read_image(path) for path in files]
     record = track_pictures(
         [
-            Picture(path, i, image, camera_for_image(camera, image.shape[1], image.shape[0]))
+            Picture(path, i, image, camera_for_image(camera, image.shape[1], image.shape[0]), "file")
             for i, (path, image) in enumerate(zip(files, images, strict=True))
         ],
         HandEstimator.from_preset(args.weights),

@@ -15,12 +15,11 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from twohands.cli.known import Known, known_by
 from twohands.cli.output import write_file
 from twohands.errors import DataFormatError, InputError
-from twohands.formats.camera_files import read_camera
 from twohands.formats.structured import parse_json, read_bytes
 from twohands.geometry.lifting import View
-from twohands.inference.estimator import DEFAULT_HAND_LENGTH_M
 from twohands.inference.records import from_dict, to_dict
 from twohands.inference.tables import csv_text, npz_bytes, to_arrays
 from twohands.inference.tracker import HandTracker
@@ -56,6 +55,8 @@ class LiftArgs:
     hand_length: Annotated[float | None, option("CM")] = None
     """As for `track`: about 0.6 times the length from the wrist's crease to the tip of the middle finger; 10 if not
     given. What the tracker takes for wrist and knuckle is allowed for."""
+    profile: Annotated[str | None, option("NAME")] = None
+    """Camera and hand length that `twohands calibrate` has kept under this name; other options count before it."""
     bone_length: Annotated[float | None, option("CM")] = None
     """Instead of --hand-length: the distance from wrist to middle knuckle where the tracker itself puts them."""
     kind: Annotated[Kind | None, option("KIND")] = None
@@ -82,11 +83,12 @@ class LiftArgs:
 def run(args: LiftArgs) -> int:
     """Carry out `twohands lift`."""
     _check_out(args)
-    camera = _camera(args)
+    known = known_by(args.camera, args.fov, args.hand_length, args.profile)
+    camera = _camera(args, known)
     poses = None if args.pose is None else _poses(args.pose)
     hints = Hints(args.kind, None if args.side is None else SIDES.index(args.side), args.names, args.view)
     foreign = read_hands(args.input, camera, hints)
-    length_m = _bone_length_m(args, foreign.bone_ratio)
+    length_m = _bone_length_m(args, known, foreign.bone_ratio)
     warn(hand_length_doubts(length_m / foreign.bone_ratio) + camera_doubts(camera))
     placed = place_hands(foreign, camera, length_m, poses=poses, mirrored=args.mirrored)
     if args.smooth:
@@ -132,29 +134,25 @@ def _check_out(args: LiftArgs) -> None:
         raise InputError(f"output {args.out} exists; choose another --out, or allow it with --overwrite")
 
 
-def _camera(args: LiftArgs) -> PinholeCamera:
-    if (args.camera is None) == (args.fov is None):
-        raise InputError("give --camera FILE, or --fov DEG with --size WIDTH HEIGHT")
-    if args.camera is not None:
-        return read_camera(args.camera)
-    if args.size is None or min(args.size) < 1 or args.fov is None:
+def _camera(args: LiftArgs, known: Known) -> PinholeCamera:
+    if known.camera is not None:
+        return known.camera
+    if known.fov_deg is None:
+        raise InputError("give --camera FILE, or --fov DEG with --size WIDTH HEIGHT, or a --profile with a camera")
+    if args.size is None or min(args.size) < 1:
         raise InputError("--fov needs the pictures' size in pixels: --size WIDTH HEIGHT")
-    return PinholeCamera.from_fov(args.fov, *args.size)
+    return PinholeCamera.from_fov(known.fov_deg, *args.size)
 
 
-def _bone_length_m(args: LiftArgs, bone_ratio: float) -> float:
+def _bone_length_m(args: LiftArgs, known: Known, bone_ratio: float) -> float:
     """From the tracker's wrist to its middle knuckle, metres."""
     if args.bone_length is not None and args.hand_length is not None:
         raise InputError("give --hand-length or --bone-length, not both")
     if args.bone_length is not None:
         return _metres("--bone-length", args.bone_length)
-    if args.hand_length is None:
-        _say(
-            f"no hand length given: assuming {100 * DEFAULT_HAND_LENGTH_M:g} cm from wrist to middle knuckle; "
-            "ranges scale with it (--hand-length CM)"
-        )
-        return bone_ratio * DEFAULT_HAND_LENGTH_M
-    return bone_ratio * _metres("--hand-length", args.hand_length)
+    for line in known.assumptions():
+        _say(line)
+    return bone_ratio * known.hand_length_m
 
 
 def _metres(name: str, length_cm: float) -> float:

@@ -30,6 +30,7 @@ from twohands.version import __version__
 VERBS = {
     "track": "both hands in metres from a video, a camera, an image or a folder of images",
     "lift": "metres from another hand tracker's results: MediaPipe, WiLoR, HaMeR, OpenPose, MMPose",
+    "calibrate": "camera and hand length, by a printed board or a taped distance",
     "demo": "track the packaged example images",
     "generate": "render labelled synthetic data",
     "inspect": "check a dataset: integrity, counts, contact sheet",
@@ -53,7 +54,7 @@ _EXTRA_OF_MODULE = {
     "av": "video",
 }
 
-READING_VERBS = ("track", "demo", "lift", "inspect", "eval", "bench")
+READING_VERBS = ("track", "demo", "lift", "calibrate", "inspect", "eval", "bench")
 """Those that read what others made, with libraries that print what they think of it; and start no programs of others
 whose words would matter."""
 EXIT_USER_ERROR = 2

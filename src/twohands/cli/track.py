@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import glob
 import json
-import math
 import os
 import sys
 import time
@@ -23,12 +22,13 @@ import cv2
 import numpy as np
 import tyro
 
+from twohands.cli.known import Known, camera_assumption, known_by
 from twohands.cli.output import check_output_folder, write_file
 from twohands.cli.track_clip import ClipJob, check_look_ahead, check_times, default_out, track_clip
 from twohands.errors import InputError, MissingExtraError, TwoHandsError
-from twohands.formats.camera_files import camera_for_image, read_camera
 from twohands.formats.pictures import list_images, look_through, natural_key, read_image
-from twohands.inference.estimator import DEFAULT_HAND_LENGTH_M, HandEstimator
+from twohands.formats.profiles import IntrinsicsSource
+from twohands.inference.estimator import HandEstimator
 from twohands.inference.frames import is_video, load_av, open_frames
 from twohands.inference.records import to_dict
 from twohands.inference.weights import DEFAULT_PRESET
@@ -37,7 +37,6 @@ from twohands.skeleton import SIDES
 from twohands.types import PinholeCamera, TwoHandPose
 from twohands.visualization.overlay import draw_overlay
 
-DEFAULT_FOV_DEG = 60.0
 KEEP_EVERY_S = 10.0
 """How often hands.json of a folder is written while it is worked on."""
 MAX_NAME_BYTES = 200
@@ -61,11 +60,13 @@ class TrackArgs:
     camera: Annotated[Path | None, option("FILE")] = None
     """Camera file: JSON with fx, fy, cx, cy, width, height[, distortion], or a calibration tool's (docs/inputs.md)."""
     fov: Annotated[float | None, option("DEG")] = None
-    """Horizontal field of view of the upright pictures, where there is no camera file; 60 along the longer side if not
-    given."""
+    """Horizontal field of view of the upright pictures, where there is no camera file; if not given, what a picture's
+    EXIF notes, else 60 along the longer side."""
     hand_length: Annotated[float | None, option("CM")] = None
     """About 0.6 times the length from the wrist's crease to the tip of the middle finger; ranges scale with it; 10 if
     not given."""
+    profile: Annotated[str | None, option("NAME")] = None
+    """Camera and hand length that `twohands calibrate` has kept under this name; other options count before it."""
     weights: Annotated[str, tyro.conf.arg(metavar="NAME")] = DEFAULT_PRESET
     """Preset that ships with the package, or a weights folder."""
     json: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
@@ -104,20 +105,21 @@ class Picture:
         index: its position among the input's files.
         image: (H, W, 3) uint8 RGB.
         camera: intrinsics at this size.
+        camera_source: how they are known.
     """
 
     path: Path
     index: int
     image: np.ndarray
     camera: PinholeCamera
+    camera_source: IntrinsicsSource
 
 
 def run(args: TrackArgs) -> int:
     """Carry out `twohands track`."""
-    hand_length_m = _hand_length_m(args.hand_length)
-    camera = _camera(args)
+    known = known_by(args.camera, args.fov, args.hand_length, args.profile)
     if is_video(args.input):
-        return _track_clip(args, camera, hand_length_m)
+        return _track_clip(args, known)
     _refuse_video_options(args)
     source = Path(args.input)
     folder = os.path.isdir(source)  # Path.is_dir raises for names too long for a file
@@ -126,7 +128,7 @@ def run(args: TrackArgs) -> int:
     if folder:
         _say_left_out(look_through(source).others)
     several = folder or bool(matching)
-    pictures = _readable(files, camera, args.fov) if several else [_open(source, 0, camera, args.fov)]
+    pictures = _readable(files, known) if several else [_open(source, 0, known)]
     name = files[0].resolve().parent.name if matching else source.resolve().name if folder else source.stem
     out = args.out or Path("out") / "track" / name
     if several and os.path.isdir(out) and os.path.samefile(out, files[0].parent):
@@ -135,11 +137,12 @@ def run(args: TrackArgs) -> int:
         )
     check_output_folder(out, overwrite=args.overwrite)
     estimator = HandEstimator.from_preset(args.weights)
-    _say_assumptions(args)
+    for line in known.assumptions():
+        _say(line)
     record = track_pictures(
         pictures,
         estimator,
-        hand_length_m=hand_length_m,
+        hand_length_m=known.hand_length_m,
         out=out,
         files=files,
         source=args.input,
@@ -180,7 +183,7 @@ def _refuse_video_options(args: TrackArgs) -> None:
             raise InputError(f"{option_name} is for videos, streams and cameras; {args.input} is none by its name")
 
 
-def _track_clip(args: TrackArgs, camera: PinholeCamera | None, hand_length_m: float) -> int:
+def _track_clip(args: TrackArgs, known: Known) -> int:
     """A video, a stream or a camera."""
     start_s, end_s = check_times(args.start, args.end)
     look_ahead_s = check_look_ahead(args.look_ahead)
@@ -196,12 +199,15 @@ def _track_clip(args: TrackArgs, camera: PinholeCamera | None, hand_length_m: fl
         else:
             ours = HandEstimator.from_preset(args.weights)
             estimate, weights, more = ours.estimate, ours.card.name, {"config": ours.card.settings()}
-        _say_assumptions(args)
+        if known.camera is None and known.fov_deg is None:
+            _say(camera_assumption("assumed") or "")
+        for line in known.assumptions():
+            _say(line)
         job = ClipJob(
             args.input,
             out,
-            lambda width, height: _fitted(camera, args.fov, width, height),
-            hand_length_m,
+            lambda width, height: known.camera_of(width, height)[0],
+            known.hand_length_m,
             args.mirrored,
             args.smooth,
             look_ahead_s,
@@ -240,6 +246,7 @@ def track_pictures(
     names = _result_names(files)
     poses: list[TwoHandPose] = []
     with_views = True
+    assumed: set[str] = set()
     kept = time.monotonic()
 
     def record() -> dict[str, Any]:
@@ -257,6 +264,10 @@ def track_pictures(
 
     try:
         for picture in pictures:
+            line = camera_assumption(picture.camera_source)
+            if line is not None and line not in assumed:
+                assumed.add(line)
+                _say(line)
             try:
                 pose = estimator.estimate(picture.image, picture.camera, hand_length_m, index=picture.index)
             except InputError as error:
@@ -315,38 +326,6 @@ def _cell(value: float | None, factor: float = 1.0, digits: int = 1) -> str:
     return "-" if value is None else f"{factor * value:.{digits}f}"
 
 
-def _hand_length_m(length_cm: float | None) -> float:
-    """The hand length in metres, checked."""
-    if length_cm is None:
-        return DEFAULT_HAND_LENGTH_M
-    if not (math.isfinite(length_cm) and length_cm > 0):
-        raise InputError(f"--hand-length must be a positive number of cm, got {length_cm}")
-    return length_cm / 100
-
-
-def _camera(args: TrackArgs) -> PinholeCamera | None:
-    """The camera file's content; None where there is none. A bad field of view is refused here already."""
-    if args.camera is not None and args.fov is not None:
-        raise InputError("give --camera or --fov, not both")
-    if args.fov is not None:
-        PinholeCamera.from_fov(args.fov, 1000, 1000)
-    return None if args.camera is None else read_camera(args.camera)
-
-
-def _say_assumptions(args: TrackArgs) -> None:
-    """Name what was assumed."""
-    if args.camera is None and args.fov is None:
-        _say(
-            f"no camera given: assuming a field of view of {DEFAULT_FOV_DEG:g} degrees along the longer side; "
-            "ranges depend on it (--camera FILE or --fov DEG)"
-        )
-    if args.hand_length is None:
-        _say(
-            f"no hand length given: assuming {100 * DEFAULT_HAND_LENGTH_M:g} cm from wrist to middle knuckle; "
-            "ranges scale with it (--hand-length CM)"
-        )
-
-
 def _say_left_out(others: list[Path]) -> None:
     """Count and name the files of a folder that are no pictures."""
     if others:
@@ -354,29 +333,13 @@ def _say_left_out(others: list[Path]) -> None:
         _say(f"{len(others)} file{'s'[: len(others) > 1]} left out, no pictures that can be read: {_printable(named)}")
 
 
-def _open(path: Path, index: int, camera: PinholeCamera | None, fov_deg: float | None) -> Picture:
+def _open(path: Path, index: int, known: Known) -> Picture:
     """Read one picture and fit the camera to its size."""
     image = read_image(path)
-    return Picture(path, index, image, _fitted(camera, fov_deg, image.shape[1], image.shape[0]))
+    return Picture(path, index, image, *known.camera_of(image.shape[1], image.shape[0], path))
 
 
-def _fitted(camera: PinholeCamera | None, fov_deg: float | None, width: int, height: int) -> PinholeCamera:
-    """The camera of pictures of a size."""
-    if camera is not None:
-        return camera_for_image(camera, width, height)
-    if fov_deg is not None:
-        return PinholeCamera.from_fov(fov_deg, width, height)
-    return assumed_camera(width, height)
-
-
-def assumed_camera(width: int, height: int) -> PinholeCamera:
-    """The camera of a picture of which nothing is known: `DEFAULT_FOV_DEG` along the longer side, so that a telephone
-    has one focal length however it is held."""
-    focal = PinholeCamera.from_fov(DEFAULT_FOV_DEG, max(width, height), min(width, height)).fx
-    return PinholeCamera(focal, focal, width / 2, height / 2, width, height)
-
-
-def _readable(files: list[Path], camera: PinholeCamera | None, fov_deg: float | None) -> Iterator[Picture]:
+def _readable(files: list[Path], known: Known) -> Iterator[Picture]:
     """Pictures of a folder one by one, with progress; those that cannot be used are named."""
     from rich.console import Console
     from rich.progress import track
@@ -384,7 +347,7 @@ def _readable(files: list[Path], camera: PinholeCamera | None, fov_deg: float | 
     console = Console(stderr=True)
     for index, path in enumerate(track(files, "tracking", console=console, disable=not console.is_terminal)):
         try:
-            picture = _open(path, index, camera, fov_deg)
+            picture = _open(path, index, known)
         except TwoHandsError as error:
             _say(f"skipped {error}")
             continue

@@ -143,13 +143,18 @@ _TIFF_WORDS: Final = {1: "B", 3: "H", 4: "I", 16: "Q"}
 _MOST_TIFF_NUMBERS: Final = 1 << 20
 
 
-def _tiff_tags(data: bytes) -> dict[int, list[int]] | None:
-    """Whole numbers of the first picture's tags; None where they are not all there."""
+def tiff_tags(data: bytes, start: int | None = None) -> dict[int, list[int]] | None:
+    """Whole numbers of a TIFF file's tags; None where they are not all there.
+
+    Args:
+        data: the file's content.
+        start: where the tags begin; those of the first picture if None.
+    """
     order = "<" if data[:2] == b"II" else ">"
     big = data[2:4] in (b"+\0", b"\0+")
     entry, count_word, offset_word = (20, "Q", "Q") if big else (12, "H", "I")
     try:
-        (at,) = struct.unpack_from(order + offset_word, data, 8 if big else 4)
+        (at,) = (start,) if start is not None else struct.unpack_from(order + offset_word, data, 8 if big else 4)
         (entries,) = struct.unpack_from(order + count_word, data, at)
         at += struct.calcsize(order + count_word)
         tags: dict[int, list[int]] = {}
@@ -157,36 +162,41 @@ def _tiff_tags(data: bytes) -> dict[int, list[int]] | None:
             tag, kind, count = struct.unpack_from(f"{order}HH{offset_word}", data, place)
             inline = place + 4 + struct.calcsize(order + offset_word)
             size = _TIFF_SIZES.get(kind, 1) * count
-            start = (
+            value = (
                 inline if size <= entry - (inline - place) else struct.unpack_from(order + offset_word, data, inline)[0]
             )
-            if start + size > len(data) or count > _MOST_TIFF_NUMBERS:
+            if value + size > len(data) or count > _MOST_TIFF_NUMBERS:
                 return None
             if kind in _TIFF_WORDS:
-                tags[tag] = list(struct.unpack_from(f"{order}{count}{_TIFF_WORDS[kind]}", data, start))
-    except struct.error:
+                tags[tag] = list(struct.unpack_from(f"{order}{count}{_TIFF_WORDS[kind]}", data, value))
+    except (struct.error, OverflowError):
         return None
     return tags
 
 
-def noted_orientation(data: bytes) -> int:
-    """EXIF's number for how the camera of a complete PNG or WebP file was held, 1 to 8; 1 where nothing is noted."""
+def metadata_chunk(data: bytes) -> bytes | None:
+    """EXIF of a complete PNG or WebP file, as a TIFF file of its own; None where there is none."""
     png = data.startswith(b"\x89PNG")
     at, layout, head, tail = (8, ">I4s", b"eXIf", 4) if png else (12, "<4sI", b"EXIF", 0)
     while at + 8 <= len(data):
         fields = struct.unpack_from(layout, data, at)
         length, kind = fields if png else fields[::-1]
         if kind == head:
-            tags = _tiff_tags(data[at + 8 : at + 8 + length].removeprefix(b"Exif\0\0")) or {}
-            (orientation, *_) = tags.get(274) or [1]
-            return orientation if 1 <= orientation <= 8 else 1
+            return data[at + 8 : at + 8 + length].removeprefix(b"Exif\0\0")
         at += 8 + length + tail + (0 if png else length & 1)
-    return 1
+    return None
+
+
+def noted_orientation(data: bytes) -> int:
+    """EXIF's number for how the camera of a complete PNG or WebP file was held, 1 to 8; 1 where nothing is noted."""
+    tags = tiff_tags(metadata_chunk(data) or b"") or {}
+    (orientation, *_) = tags.get(274) or [1]
+    return orientation if 1 <= orientation <= 8 else 1
 
 
 def _tiff_is_complete(data: bytes) -> bool:
     """The tags of its first picture are there, and all strips or tiles that they announce."""
-    tags = _tiff_tags(data)
+    tags = tiff_tags(data)
     if tags is None:
         return False
     starts, sizes = (tags.get(273, tags.get(324, [])), tags.get(279, tags.get(325, [])))
@@ -195,7 +205,7 @@ def _tiff_is_complete(data: bytes) -> bool:
 
 
 def _tiff_extent(data: bytes) -> Extent | None:
-    tags = _tiff_tags(data) or {}
+    tags = tiff_tags(data) or {}
     if not tags.get(256) or not tags.get(257):
         return None
     depth, channels = max(tags.get(258) or [8]), max(tags.get(277) or [1])
