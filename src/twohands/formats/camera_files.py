@@ -1,6 +1,6 @@
 """Cameras from files, ours and those of the usual calibration tools; what is read is listed in docs/inputs.md.
 
-Every key of a file is either used, or known to say nothing about the lens (`_NO_MATTER`), or refused: a coefficient
+Every key of a file is either used, or known to say nothing about the lens (`NO_MATTER`), or refused: a coefficient
 under a name that a reader does not know would be lost, and every range with it be wrong. Another lens model than
 OpenCV's pinhole with k1, k2, p1, p2, ... is refused by its name for the same reason.
 """
@@ -17,6 +17,15 @@ from typing import Any, Final
 import numpy as np
 
 from twohands.errors import DataFormatError, InputError
+from twohands.formats.camera_keys import (
+    COEFFICIENTS,
+    CONTAINERS,
+    FIELD_OF_KEY,
+    FOCAL_ONLY_WHEN_STRAIGHT,
+    NO_MATTER,
+    PINHOLE,
+    SLAM_FIELDS,
+)
 from twohands.formats.structured import decode_text, parse_json, parse_xml, parse_yaml, read_bytes
 from twohands.types import PinholeCamera
 
@@ -26,86 +35,7 @@ MOST_COEFFICIENTS: Final = 8
 """Distortion coefficients that `PinholeCamera` knows: OpenCV's k1, k2, p1, p2, k3 to k6."""
 MOST_SKEW: Final = 1e-6
 """Of a camera matrix, over its focal length: rounding of whoever wrote it."""
-
-_COEFFICIENTS: Final = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 _OURS: Final = ("fx", "fy", "cx", "cy", "width", "height")
-
-_FIELD_OF_KEY: Final[Mapping[str, str]] = {
-    alias: name
-    for name, aliases in {
-        "fx": "fx flx focallengthx focalx",
-        "fy": "fy fly focallengthy focaly",
-        "focal": "f focal focallength",
-        "cx": "cx",
-        "cy": "cy",
-        "cx_opencv": "ppx",
-        "cy_opencv": "ppy",
-        "width": "width w imagewidth imgwidth",
-        "height": "height h imageheight imgheight",
-        "size": "imagesize imgsize size resolution cameraresolution imageresolution imageshapewh",
-        "matrix": "cameramatrix camera_matrix k kmatrix mtx intrinsicmatrix intrinsicsmatrix cameraintrinsics "
-        "cameraintrinsic intrinsic",
-        "intrinsics": "intrinsics",
-        "params": "params",
-        "distortion": "distortion dist d distcoeffs distcoeff distcoefs distcoef distortioncoefficients "
-        "distortioncoeffs distortioncoeff distortionvector distortionparameters lensdistortion cameradistortion coeffs "
-        "coefficients distorsion distorsioncoefficients",
-        **{name: name for name in (*_COEFFICIENTS, "s1", "s2", "s3", "s4")},
-        "model": "distortionmodel cameramodel model lensmodel lenstype projection projectiontype projectionmodel "
-        "cameratype type distortiontype modeltype modelname",
-        "fisheye": "fisheye isfisheye fisheyemodel",
-        "skew": "skew s",
-        "binning": "binningx binningy",
-        "roi": "roi",
-    }.items()
-    for alias in aliases.split()
-}
-"""What a key means, by its letters and digits in small letters."""
-
-_SLAM_FIELDS: Final[Mapping[str, str]] = {
-    **{name: name for name in ("fx", "fy", "width", "height", *_COEFFICIENTS)},
-    **{name: f"{name}_opencv" for name in ("cx", "cy")},
-}
-"""What ORB-SLAM's keys mean, Camera.fx or Camera1.fx: it counts pixels as OpenCV does."""
-
-_CONTAINERS: Final = frozenset(
-    {"intrinsics", "intrinsic", "camera", "cam", "cam0", "camera0", "cameraparameters", "cameraparams", "calibration"}
-    | {"camerainfo", "cameracalibration", "imagesize", "resolution", "distortion", "distcoeffs", "value0", "size"}
-    | {"distortioncoefficients", "distortionparameters", "projectionparameters", "cameraintrinsics"}
-)
-"""Keys under which a file may hold the record, or a part of it, one level deeper."""
-
-_NO_MATTER: Final = re.compile(
-    "|".join(
-        (
-            "comments?|notes?|description|name|title|id|uuid|serial.*|vendor|manufacturer|make|timestamp|date|time",
-            "camera|cameraname|cameraid|cameraserial.*|camname|sensorname|device.*|firmware.*|lensname",
-            "calibration(?:date|time|flags|tool|method|version)?|version|fileversion|typeid|created.*|source|author",
-            "flags?.*|n?frames(?:count)?|nr?of(?:frames|images)|numberof.*|num.*|fps|camerafps|camerargb|rgb",
-            ".*(?:reprojection|calibration|projection|rms|mean)error.*|rms|error|reproj.*|totalavgerr|avgerr.*|std.*",
-            "board.*|square.*|marker.*|pattern.*|grid.*|chessboard.*|charuco.*|aruco.*|fix.*|assume.*|calibrate.*",
-            "writeextrinsic.*|writepoints.*|showundistorted|inputs?(?:delay|path)?|images?(?:points|names|path)",
-            "objectpoints|imagenames|filenames?|file|path|aspectratio|extrinsics?.*|perview.*|rvecs?|tvecs?|t|pose.*",
-            "rotation.*|translation.*|rectification.*|r|p|q|projectionmatrix|header|frameid|seq|stamp|opencv.*",
-            "t(?:cam|cn|ci|ic|bs|b).*|rostopic|timeshift.*|camoverlaps|bf|camerabf|thdepth.*|depthmapfactor|baseline",
-            "(?:orbextractor|viewer|system|stereo|imu|rgbd|loopclosing|tracking)[a-z].*|aabbscale|appliedtransform",
-            "appliedscale|plyfilepath|orientationoverride|cameraanglex|cameraangley|xfov|yfov|hfov|vfov|fov",
-            "transform.*|stride|format",
-        )
-    )
-)
-"""Keys, as in `_FIELD_OF_KEY`, that say nothing about how a ray meets the picture, or say it again."""
-
-_PINHOLE: Final = frozenset(
-    {"pinhole", "perspective", "plumbbob", "radtan", "radialtangential", "rationalpolynomial", "opencv", "fullopencv"}
-    | {"simplepinhole", "simpleradial", "radial", "brownconrady", "brown", "none", "nodistortion", "undistorted"}
-    | {"rectified", "standard", "pinholeradtan", "pinholecamera", "distortionnone", "distortionbrownconrady", "0"}
-)
-"""Names of lens models, written like the keys, that OpenCV's pinhole camera covers."""
-_FOCAL_ONLY_WHEN_STRAIGHT: Final = frozenset(
-    {"modifiedbrownconrady", "inversebrownconrady", "distortioninversebrownconrady", "distortionmodifiedbrownconrady"}
-)
-"""RealSense's models that differ from OpenCV's in the coefficients alone: read where those are all 0."""
 _COLMAP: Final[Mapping[str, tuple[str, ...]]] = {
     "SIMPLE_PINHOLE": ("focal", "cx", "cy"),
     "PINHOLE": ("fx", "fy", "cx", "cy"),
@@ -251,16 +181,16 @@ def _gather(record: Mapping[str, Any], found: _Found, depth: int) -> None:
         if isinstance(value, dict) and not _is_matrix(value) and _holds_a_record(plain) and depth < 4:
             _gather(value, found, depth + 1)
             continue
-        name = _FIELD_OF_KEY.get(plain)
-        if (slam := re.fullmatch(f"camera1?({'|'.join(_SLAM_FIELDS)})", plain)) is not None:
-            name = _SLAM_FIELDS[slam[1]]
+        name = FIELD_OF_KEY.get(plain)
+        if (slam := re.fullmatch(f"camera1?({'|'.join(SLAM_FIELDS)})", plain)) is not None:
+            name = SLAM_FIELDS[slam[1]]
         if name == "model":
             found.models.append(str(value))
-        elif name in (*_COEFFICIENTS, "matrix") and plain in _COEFFICIENTS and _is_matrix(value):
+        elif name in (*COEFFICIENTS, "matrix") and plain in COEFFICIENTS and _is_matrix(value):
             raise DataFormatError(f"camera: '{key}' is one matrix of several; a file of one camera is needed")
         elif name is not None:
             found.add(name, value, key)
-        elif not _NO_MATTER.fullmatch(plain):
+        elif not NO_MATTER.fullmatch(plain):
             raise DataFormatError(
                 f"camera: unknown key '{key[:60]}'; if it says something about the lens, rename it (docs/inputs.md), "
                 "else take it out"
@@ -268,15 +198,15 @@ def _gather(record: Mapping[str, Any], found: _Found, depth: int) -> None:
 
 
 def _holds_a_record(plain: str) -> bool:
-    return plain in _CONTAINERS or re.fullmatch(r"cam(era)?\d", plain) is not None
+    return plain in CONTAINERS or re.fullmatch(r"cam(era)?\d", plain) is not None
 
 
 def _check_model(model: str, found: _Found) -> None:
     """Raises DataFormatError for a lens model that is not OpenCV's pinhole."""
     plain = _plain(model).removeprefix("rs2")
-    if plain in _PINHOLE or plain == "false":
+    if plain in PINHOLE or plain == "false":
         return
-    if plain in _FOCAL_ONLY_WHEN_STRAIGHT and not any(_distortion(found)):
+    if plain in FOCAL_ONLY_WHEN_STRAIGHT and not any(_distortion(found)):
         return
     raise DataFormatError(
         f"camera: lens model '{model[:60]}'; only pinhole cameras with OpenCV's k1, k2, p1, p2, k3 to k6 are known, "
@@ -392,7 +322,7 @@ def _distortion(found: _Found) -> tuple[float, ...]:
     Raises:
         DataFormatError: they are no numbers, given in two ways, or one is there without those before it.
     """
-    single = {name: _number(*found.values[name]) for name in _COEFFICIENTS if name in found.values}
+    single = {name: _number(*found.values[name]) for name in COEFFICIENTS if name in found.values}
     value = found.get("distortion")
     if value is not None and not isinstance(value, list | dict):
         raise DataFormatError(f"camera: distortion: a list of numbers expected, got {_kind(value)}")
@@ -402,7 +332,7 @@ def _distortion(found: _Found) -> tuple[float, ...]:
     if single.get("k4") and not {"k5", "k6"} <= single.keys():
         raise DataFormatError("camera: k4 without k5 and k6 is none of OpenCV's pinhole models, rather a fisheye's")
     if any(single.values()):
-        listed = [single.get(name, 0.0) for name in _COEFFICIENTS]
+        listed = [single.get(name, 0.0) for name in COEFFICIENTS]
         listed = listed[:4] if not any(listed[4:]) else listed[:5] if not any(listed[5:]) else listed
     while len(listed) > MOST_COEFFICIENTS and listed[-1] == 0:
         listed = listed[:-1]  # OpenCV pads those of its larger models
