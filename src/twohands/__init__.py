@@ -15,7 +15,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-from twohands.version import __version__
+from twohands.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from twohands.errors import TwoHandsError
@@ -54,7 +54,6 @@ __all__ = [
     "StageTruth",
     "TwoHandPose",
     "TwoHandsError",
-    "__version__",
     "draw_overlay",
     "draw_views",
     "lift",
