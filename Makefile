@@ -28,6 +28,7 @@ FAST := tests/geometry tests/formats tests/lifting tests/models tests/datasets/i
 	$(addprefix tests/evaluation/test_,metrics.py comparison.py protocols.py importing.py results.py) \
 	$(addprefix tests/inference/test_,clip_files.py handedness.py keypoints.py leaving.py placement.py records.py \
 	runtime.py tracker.py views.py) \
+	$(addprefix tests/live/test_,clip.py door.py messages.py) tests/visualization/test_view_page.py \
 	$(addprefix tests/training/test_,losses.py schedule.py) \
 	$(addprefix tests/test_,architecture.py files.py pages.py plausibility.py skeleton.py)
 
@@ -40,7 +41,7 @@ lint: environment
 	$(BIN)/pyright
 
 environment:
-	@bash scripts/environment.sh $(VENV) synth,synth-bake,train,datasets,view,video,dev
+	@bash scripts/environment.sh $(VENV) synth,synth-bake,train,datasets,view,video,live,dev
 
 environment-view:
 	@bash scripts/environment.sh $(VENV) view

@@ -13,7 +13,7 @@ from pathlib import Path
 MAX_IMPORT_S = 0.5
 MAX_TRACK_S = 5.0
 MAX_MEMORY_BYTES = 1e9
-EXTRAS = ("torch", "moderngl", "bpy", "matplotlib", "anny", "safetensors", "onnx", "lightning_fabric")
+EXTRAS = ("torch", "moderngl", "bpy", "matplotlib", "anny", "safetensors", "onnx", "lightning_fabric", "starlette")
 REPEATS = 3
 
 
@@ -29,6 +29,8 @@ def measure(*command: str) -> tuple[float, float]:
 def main() -> None:
     present = [name for name in EXTRAS if importlib.util.find_spec(name)]
     assert not present, f"the core install brought {present}"
+
+    assert (resources.files("twohands.visualization") / "view" / "view.js").is_file(), "the view is not in the wheel"
 
     bare = min(measure("-c", "pass")[0] for _ in range(REPEATS))
     import_s = min(measure("-c", "import twohands")[0] for _ in range(REPEATS)) - bare

@@ -2,7 +2,8 @@
 # The raster renderer draws through EGL, on a GPU or on Mesa's software driver. Sees that they are there: installs them
 # where this runs as root on Debian or Ubuntu, names them otherwise. Tracking needs none of this.
 #
-# usage: scripts/system-packages.sh [blender]        with that word, what the Blender renderer needs instead
+# usage: scripts/system-packages.sh [blender|browser]        with such a word, what the Blender renderer, or the tests of
+# pages in a browser, need instead
 set -euo pipefail
 
 libraries=$(PATH=$PATH:/sbin:/usr/sbin ldconfig -p 2>/dev/null || true)
@@ -13,6 +14,12 @@ if [ "${1:-}" = blender ]; then
         libXxf86vm\.so\.1"
     why="Blender needs some libraries of a desktop; install them once: sudo apt-get install $packages (or your system's \
 equivalents)"
+elif [ "${1:-}" = browser ]; then
+    packages="chromium"
+    wanted=
+    command -v chromium chromium-browser >/dev/null || missing=" chromium"
+    why="tests of pages want a browser and are skipped without; install it once: sudo apt-get install $packages (or your \
+system's equivalent)"
 else
     packages="libegl1 libgl1 libgl1-mesa-dri"
     wanted="libEGL\.so\.1 libGL\.so\.1 libEGL_[a-z]*\.so"

@@ -20,6 +20,7 @@ STOREYS = [
     {"synth", "datasets", "models", "evaluation"},
     {"training", "inference", "peers"},
     {"visualization", "export", "lifting", "calibration", "studies"},
+    {"live"},
     {"cli"},
 ]
 """Rooms from the ground up. A room may use itself and lower storeys, never its own storey's neighbours. The ground
@@ -59,6 +60,9 @@ EXTRAS = {
     "matplotlib": {"visualization"},
     "ray": set(),
     "av": set(),
+    "starlette": {"live"},
+    "uvicorn": {"live"},
+    "websockets": set(),
 }
 """Optional packages, and the rooms whose modules may need them to be imported; elsewhere only inside functions."""
 

@@ -36,7 +36,13 @@ def test_a_clip(clip, weights, tmp_path, capsys):
     assert run_track(clip, "--out", out, "--weights", weights, "--fov", 90, "--hand-length", 9) == 0
     captured = capsys.readouterr()
     assert captured.err == "" and "10 frames" in captured.out and f"written to {out}" in captured.out
-    assert sorted(path.name for path in out.iterdir()) == ["hands.csv", "hands.jsonl", "hands.npz", "overlay.mp4"]
+    assert sorted(path.name for path in out.iterdir()) == [
+        "hands.csv",
+        "hands.jsonl",
+        "hands.npz",
+        "overlay.mp4",
+        "report.html",
+    ]
     header, poses = read_clip(out / "hands.jsonl")
     poses = list(poses)
     assert (header["weights"], header["smoothed"], header["mirrored"]) == ("tiny", True, False)

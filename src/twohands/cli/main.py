@@ -29,6 +29,7 @@ from twohands.version import __version__
 
 VERBS = {
     "track": "both hands in metres from a video, a camera, an image or a folder of images",
+    "live": "a page with both hands in metres while they move, and a stream for other programs",
     "lift": "metres from another hand tracker's results: MediaPipe, WiLoR, HaMeR, OpenPose, MMPose",
     "calibrate": "camera and hand length, by a printed board or a taped distance",
     "demo": "track the packaged example images",
@@ -52,9 +53,12 @@ _EXTRA_OF_MODULE = {
     "matplotlib": "view",
     "ray": "cluster",
     "av": "video",
+    "starlette": "live",
+    "uvicorn": "live",
+    "websockets": "live",
 }
 
-READING_VERBS = ("track", "demo", "lift", "calibrate", "inspect", "eval", "bench")
+READING_VERBS = ("track", "live", "demo", "lift", "calibrate", "inspect", "eval", "bench")
 """Those that read what others made, with libraries that print what they think of it; and start no programs of others
 whose words would matter."""
 EXIT_USER_ERROR = 2

@@ -26,6 +26,7 @@ from twohands.skeleton import SIDES
 from twohands.types import PinholeCamera, TwoHandPose
 from twohands.visualization.live import draw_live
 from twohands.visualization.movie import Movie
+from twohands.visualization.view_page import REPORT, ClipReport
 
 OVERLAY: Final = "overlay.mp4"
 EXIT_NOTHING_DECODED: Final = 1
@@ -152,6 +153,8 @@ def _open_writer(
     """Opens the results' files, and a thread that draws and writes."""
     check_output_folder(job.out, overwrite=True)
     job.out.mkdir(parents=True, exist_ok=True)
+    size = (camera.width, camera.height) if job.overlay else None
+    report = stack.enter_context(ClipReport(job.out, job.out / JSONL, os.path.basename(job.source), size, rate or 30.0))
     files = stack.enter_context(
         ClipFiles(
             job.out,
@@ -175,6 +178,7 @@ def _open_writer(
         if movie is not None and pose.time_s is not None:
             first_s.append(pose.time_s) if not first_s else None
             movie.write(draw_live(image, pose), pose.time_s - first_s[0])
+            report.write(image, pose.time_s - first_s[0])
 
     return stack.enter_context(Behind(write))
 
@@ -211,7 +215,7 @@ def _report(
         hands = ", ".join(f"{side} in {count}" for side, count in zip(SIDES, counts.found, strict=True))
         print(f"{counts.frames} frames, {counts.frames / max(seconds, 1e-9):.1f} a second; hands: {hands}; "
               f"side changes: {video.side_changes}")  # fmt: skip
-        names = [JSONL, NPZ, CSV] + [OVERLAY] * job.overlay
+        names = [JSONL, NPZ, CSV, REPORT] + [OVERLAY] * job.overlay
         print(f"written to {job.out}: {', '.join(names)}")
     return 0
 

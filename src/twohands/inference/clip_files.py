@@ -44,6 +44,15 @@ def frame_line(pose: TwoHandPose) -> str:
     return json.dumps({"index": frame["index"], "time_s": frame["time_s"], "hands": frame["hands"]})
 
 
+def header_line(
+    camera: PinholeCamera, *, source: str, weights: str, hand_length_m: float, more: Mapping[str, Any] | None = None
+) -> str:
+    """The first line of hands.jsonl, without its end; arguments as `ClipFiles`."""
+    nobody = TwoHandPose(HandPose(present=False), HandPose(present=False), camera)
+    about = {"source": source, "weights": weights, "hand_length_m": hand_length_m}
+    return json.dumps({"version": VERSION, **about, "camera": _record(nobody)["frames"][0]["camera"], **(more or {})})
+
+
 class ClipFiles:
     """Writes the results of one clip; a context manager, which ends the files however it is left.
 
@@ -71,16 +80,14 @@ class ClipFiles:
         self._folder = folder
         self._camera = camera
         self._about = {"source": source, "weights": weights, "hand_length_m": hand_length_m}
-        self._more = dict(more or {})
+        self._header = header_line(camera, source=source, weights=weights, hand_length_m=hand_length_m, more=more)
         self._columns: dict[str, tuple[IO[bytes], np.dtype[Any], tuple[int, ...]]] = {}
         self.count = 0
 
     def __enter__(self) -> ClipFiles:
         self._lines = open(self._folder / JSONL, "w", encoding="utf-8")
         self._rows = open(partial_path(self._folder / CSV), "w", encoding="utf-8")
-        nobody = TwoHandPose(HandPose(present=False), HandPose(present=False), self._camera)
-        header = {"version": VERSION, **self._about, "camera": _record(nobody)["frames"][0]["camera"], **self._more}
-        self._write_line(json.dumps(header))
+        self._write_line(self._header)
         return self
 
     def __exit__(self, *_: object) -> None:

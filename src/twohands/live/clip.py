@@ -1,0 +1,88 @@
+"""A clip that comes picture by picture: what its header and its frames' lines are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from twohands.errors import InputError
+from twohands.inference.clip_files import frame_line, header_line
+from twohands.inference.video import VideoEstimator
+from twohands.live.messages import Settings
+from twohands.types import PinholeCamera, TwoHandPose
+
+Estimate = Callable[..., TwoHandPose]
+"""`HandEstimator.estimate` or its like: (image, camera, hand length, index=, time_s=, previous=) -> pose."""
+CameraFor = Callable[[float | None, int, int], PinholeCamera]
+"""(field of view in degrees or None, width, height) -> camera, or InputError where that cannot be."""
+
+
+class LiveClip:
+    """Estimates one clip after the other; for one thread.
+
+    Args:
+        estimate: of single pictures.
+        camera_for: camera of pictures of a size.
+        weights: what estimates.
+        more: what else headers say.
+        settings: of the first clip.
+    """
+
+    def __init__(
+        self, estimate: Estimate, camera_for: CameraFor, weights: str, more: Mapping[str, Any], settings: Settings
+    ) -> None:
+        self._estimate = estimate
+        self._camera_for = camera_for
+        self._weights = weights
+        self._more = dict(more)
+        self._video = VideoEstimator()
+        self.begin(settings)
+
+    def begin(self, settings: Settings) -> None:
+        """A new clip; what was before is forgotten."""
+        self._settings = settings
+        self._camera: PinholeCamera | None = None
+        self._header = ""
+        self._video.reset()
+
+    def frame(self, image: np.ndarray, index: int, time_s: float) -> tuple[str, str]:
+        """One picture.
+
+        Args:
+            image: (H, W, 3) uint8 RGB.
+            index: position in the clip.
+            time_s: in the clip's clock, later than the last one's.
+
+        Returns:
+            The clip's header, the same string object for all of its frames, and the frame's line.
+
+        Raises:
+            InputError: the picture does not fit the camera or those before it.
+        """
+        settings = self._settings
+        image = np.ascontiguousarray(image[:, ::-1]) if settings.mirrored else image
+        height, width = image.shape[:2]
+        camera = self._camera or self._camera_for(settings.fov_deg, width, height)
+        if (camera.width, camera.height) != (width, height):
+            raise InputError(
+                f"the size changes from {camera.width}x{camera.height} to {width}x{height}; begin a new clip"
+            )
+
+        def run(previous: TwoHandPose | None) -> TwoHandPose:
+            length = settings.hand_length_m
+            return self._estimate(image, camera, length, index=index, time_s=time_s, previous=previous)
+
+        pose = self._video.update(run)
+        if self._camera is None:
+            self._camera = camera
+            self._header = header_line(
+                camera,
+                source=settings.source,
+                weights=self._weights,
+                hand_length_m=settings.hand_length_m,
+                more=self._more | {"mirrored": settings.mirrored, "smoothed": True, "look_ahead_s": 0.0},
+            )
+        return self._header, frame_line(replace(pose, masks=None))

@@ -1,0 +1,52 @@
+"""`twohands live`: what it refuses before anything is opened, and what it tells the page."""
+
+import pytest
+
+pytest.importorskip("starlette")
+from tests.oracles import write_tiny_weights
+
+from twohands.cli import live
+from twohands.cli.main import main
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--host", "0.0.0.0"], "--host 0.0.0.0 lets others in: give them a --token"),
+        (["--token", "short"], "--token must be at least 8 letters and digits"),
+        (["--allow-origin", "evil.example"], "an origin such as http://localhost:3000 expected"),
+        (["--camera", "front.json"], "a number expected, 0 for the first; intrinsics go to --camera-file"),
+        (["--camera", "77"], "camera:77: no such camera"),
+        (["--camera-file", "missing.json"], "missing.json: no such camera file"),
+        (["--camera-file", "missing.json", "--fov", "60"], "give --camera-file or --fov, not both"),
+        (["--fov", "0"], "field of view must lie between 0 and 180 degrees"),
+        (["--hand-length", "-1"], "--hand-length must be a positive number of cm"),
+        (["--port", "99999"], "--port must lie between 0 and 65535, got 99999"),
+        (["--weights", "none"], "none"),
+    ],
+)
+def test_a_bad_option_is_one_line_exit_2(arguments, message, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    assert main(["live", "--port", "0", "--no-open", *arguments]) == 2
+    captured = capfd.readouterr()
+    assert message in captured.err and captured.err.count("twohands: error") == 1 and captured.out == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_page_knows_what_was_given_and_ctrl_c_is_the_end(tmp_path, monkeypatch, capsys):
+    pages = []
+
+    def interrupted(self, listening, started):
+        pages.append(self._page)
+        started()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("twohands.live.server.LiveServer.run", interrupted)
+    monkeypatch.setattr(live.webbrowser, "open", lambda address: pytest.fail("nobody asked for it"))
+    weights = str(write_tiny_weights(tmp_path / "tiny"))
+    arguments = ["--port", "0", "--no-open", "--weights", weights, "--hand-length", "11.5", "--mirrored", "--fov", "70"]
+    assert main(["live", *arguments]) == 0
+    captured = capsys.readouterr()
+    assert captured.out.startswith("live at http://127.0.0.1:") and "live has ended" in captured.err
+    known = '{"camera": null, "hand_length_cm": 11.5, "fov_deg": 70.0, "mirrored": true, "camera_file": false}'
+    assert f'<script id="live" type="application/json">{known}</script>' in pages[0]

@@ -1,0 +1,44 @@
+"""A clip that comes picture by picture says what `track` would."""
+
+import json
+
+import numpy as np
+import pytest
+from tests.live.fakes import IMAGE, make_clip
+
+from twohands.errors import InputError
+from twohands.inference.clip_files import read_clip
+from twohands.live.messages import Settings
+
+
+def test_the_lines_are_a_hands_jsonl(tmp_path):
+    clip = make_clip()
+    clip.begin(Settings("webcam", 0.12, 90.0, True))
+    told = [clip.frame(IMAGE, index, index / 10) for index in range(3)]
+    assert told[0][0] is told[2][0]
+    path = tmp_path / "hands.jsonl"
+    path.write_text("\n".join([told[0][0], *(line for _, line in told)]) + "\n")
+    header, poses = read_clip(path)
+    assert (header["source"], header["hand_length_m"], header["mirrored"]) == ("webcam", 0.12, True)
+    assert header["smoothed"] is True and header["camera"]["fx"] == 32
+    np.testing.assert_allclose([pose.left.joints_m[0, 2] for pose in poses], 0.6, atol=1e-6)
+
+
+def test_mirrored_pictures_are_turned_back():
+    image = IMAGE.copy()
+    image[:, -1] = 255
+    clip = make_clip()
+    clip.begin(Settings("a", 0.1, None, True))
+    assert json.loads(clip.frame(image, 0, 0.0)[1])["hands"]["left"]["score"] == 1.0
+
+
+def test_a_new_clip_may_have_another_size_and_an_earlier_time():
+    clip = make_clip()
+    clip.frame(IMAGE, 0, 5.0)
+    with pytest.raises(InputError, match="the size changes from 64x48 to 32x48"):
+        clip.frame(IMAGE[:, :32], 1, 6.0)
+    with pytest.raises(InputError):
+        clip.frame(IMAGE, 1, 4.0)
+    clip.begin(Settings("b", 0.1))
+    header, line = clip.frame(IMAGE[:, :32], 0, 0.0)
+    assert json.loads(header)["camera"]["width"] == 32 and json.loads(line)["time_s"] == 0.0

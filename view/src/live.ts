@@ -1,0 +1,251 @@
+// The page of `twohands live`: pictures go to the server, or come from its camera; lines come back.
+
+import { Page, element } from "./page";
+import type { Frame, Header } from "./records";
+import { type Grabbed, Source } from "./sources";
+import { type Settings, Stream } from "./stream";
+
+/** What the server says about itself. */
+export interface LiveConfig {
+  camera: string | null;
+  hand_length_cm: number;
+  fov_deg: number | null;
+  mirrored: boolean;
+  camera_file: boolean;
+}
+
+/** Seconds after which a picture without an answer is given up. */
+const PATIENCE_S = 5;
+const PLOT_S = 10;
+
+export function openLive(config: LiveConfig): void {
+  new Live(config);
+}
+
+function toolsHtml(config: LiveConfig): string {
+  const sources = config.camera === null
+    ? `<button id="webcam" class="main">Use webcam</button>
+       <label class="button">Open video<input id="file" type="file" accept="video/*" hidden></label>
+       <button id="stop" disabled>Stop</button>`
+    : "";
+  return `${sources}<button id="record" disabled>Record</button>
+    <label title="0.6 times the length from the wrist's crease to the tip of the middle finger">Hand length <input id="length" type="number" min="4" max="20" step="0.1" value="${config.hand_length_cm}"> cm</label>
+    <label title="horizontal; 60 along the longer side if empty">Field of view <input id="fov" type="number" min="10" max="170" step="0.5" placeholder="${config.camera_file ? "file" : "60"}"
+      value="${config.fov_deg ?? ""}" ${config.camera_file ? "disabled" : ""}>°</label>
+    <label><input id="mirrored" type="checkbox" ${config.mirrored ? "checked" : ""}> pictures are mirrored</label>`;
+}
+
+function welcomeHtml(config: LiveConfig): string {
+  if (config.camera !== null) return `<p>Waiting for ${config.camera} of the machine that runs twohands live.</p>`;
+  const local = ["127.0.0.1", "localhost", "[::1]"].includes(location.hostname);
+  const whereto = local ? "Pictures stay on this machine." : `Pictures go to ${location.host} and nowhere else.`;
+  return `<p><strong>Use your webcam, or drop a video here.</strong></p><p>${whereto}</p>`;
+}
+
+class Live {
+  private readonly page: Page;
+  private stream: Stream | null = null;
+  private source: Source | null = null;
+  private header: Header | null = null;
+  private inFlight: Grabbed | null = null;
+  private answered: (() => void) | null = null;
+  private picture: { image: ImageBitmap; ageS: number; atMs: number } | null = null;
+  private arrivals: number[] = [];
+  private delays: number[] = [];
+  private record: string[] | null = null;
+  private lastHeader = "";
+  private lost = false;
+
+  constructor(private readonly config: LiveConfig) {
+    this.page = new Page(toolsHtml(config), welcomeHtml(config), PLOT_S);
+    element("record").onclick = () => this.toggleRecord();
+    for (const id of ["length", "fov", "mirrored"]) element(id).onchange = () => this.changed();
+    if (config.camera === null) {
+      element("webcam").onclick = () => void this.start(() => Source.webcam());
+      element("stop").onclick = () => this.stop();
+      element<HTMLInputElement>("file").onchange = (event) => {
+        const input = event.target as HTMLInputElement;
+        const file = input.files?.[0];
+        if (file) void this.start(() => Source.file(file));
+        input.value = "";
+      };
+      this.acceptDrops();
+    }
+    this.connect();
+    setInterval(() => this.sayFacts(), 500);
+  }
+
+  private connect(): void {
+    const token = new URLSearchParams(location.search).get("token");
+    const query = new URLSearchParams({ pictures: "1", ...(token === null ? {} : { token }) });
+    const scheme = location.protocol === "https:" ? "wss" : "ws";
+    this.stream = new Stream(`${scheme}://${location.host}/stream?${query}`, {
+      opened: () => this.lost && this.page.complain(""),
+      header: (header, text) => this.begun(header, text),
+      frame: (frame, text) => this.took(frame, text),
+      picture: (image, _, ageS) => (this.picture = { image, ageS, atMs: performance.now() }),
+      closed: (reason, lost) => this.closed(reason, lost),
+    });
+  }
+
+  private closed(reason: string, lost: boolean): void {
+    this.stop();
+    this.lost = lost;
+    this.page.complain(`${reason[0]?.toUpperCase() ?? ""}${reason.slice(1)}.`);
+    setTimeout(() => this.connect(), 3000);
+  }
+
+  private begun(header: Header, text: string): void {
+    this.header = header;
+    this.lastHeader = text;
+    this.arrivals = [];
+    this.delays = [];
+    if (this.record !== null) this.record.push(this.lastHeader);
+    this.page.begin(header);
+    element<HTMLButtonElement>("record").disabled = false;
+    if (this.config.camera_file) {
+      const { fx, cx, width } = header.camera;
+      const degrees = (180 / Math.PI) * (Math.atan(cx / fx) + Math.atan((width - cx) / fx));
+      element<HTMLInputElement>("fov").value = degrees.toFixed(1);
+    }
+  }
+
+  private took(frame: Frame, text: string): void {
+    if (this.header === null) return;
+    const now = performance.now();
+    this.arrivals = [...this.arrivals.filter((at) => at > now - 2000), now];
+    const own = this.inFlight;
+    if (own !== null && frame.time_s !== null && Math.abs(own.timeS - frame.time_s) < 1e-4) {
+      this.delays.push(now - own.takenMs);
+      this.page.show(own.picture, frame);
+      this.answered?.();
+    } else {
+      if (this.picture !== null) this.delays.push(1000 * this.picture.ageS + now - this.picture.atMs);
+      this.page.show(this.picture?.image ?? null, frame);
+    }
+    this.delays = this.delays.slice(-30);
+    this.page.plot.add(frame);
+    this.record?.push(text);
+  }
+
+  private settings(source: string): Settings | null {
+    const centimetres = element<HTMLInputElement>("length").valueAsNumber;
+    const degrees = element<HTMLInputElement>("fov").value;
+    for (const id of ["length", "fov"]) {
+      const input = element<HTMLInputElement>(id);
+      if (!input.disabled && !input.reportValidity()) return null;
+    }
+    if (!Number.isFinite(centimetres)) return null;
+    return {
+      source,
+      hand_length_m: Math.round(1e4 * centimetres) / 1e6,
+      fov_deg: degrees === "" || this.config.camera_file ? null : Number(degrees),
+      mirrored: element<HTMLInputElement>("mirrored").checked,
+    };
+  }
+
+  private changed(): void {
+    const source = this.config.camera ?? this.source?.name;
+    if (source === undefined || !this.stream?.open) return;
+    const settings = this.settings(source);
+    if (settings !== null) this.stream.begin(settings);
+  }
+
+  private async start(open: () => Promise<Source>): Promise<void> {
+    this.stop();
+    this.page.complain("");
+    try {
+      this.source = await open();
+    } catch (error) {
+      const refused = error instanceof DOMException && error.name === "NotAllowedError";
+      this.page.complain(refused ? "The browser was not allowed to use the camera." : `${(error as Error).message}`);
+      return;
+    }
+    const settings = this.settings(this.source.name);
+    if (settings === null || !this.stream?.open) {
+      this.stop();
+      return;
+    }
+    this.stream.begin(settings);
+    element<HTMLButtonElement>("stop").disabled = false;
+    await this.run(this.source, this.stream);
+  }
+
+  /** One picture in flight: the next is taken when the last is answered. */
+  private async run(source: Source, stream: Stream): Promise<void> {
+    const startedMs = performance.now();
+    while (this.source === source && stream.open && !source.ended) {
+      const grabbed = await source.grab(startedMs);
+      if (grabbed === null) continue;
+      if (this.source !== source || !stream.open) break;
+      const answer = new Promise<void>((done) => {
+        this.answered = done;
+        setTimeout(done, 1000 * PATIENCE_S);
+      });
+      this.inFlight = grabbed;
+      stream.send(grabbed.jpeg, grabbed.timeS);
+      await answer;
+    }
+    if (this.source === source) this.stop();
+  }
+
+  private stop(): void {
+    if (this.source === null) return;
+    this.source.stop();
+    this.source = null;
+    this.inFlight = null;
+    this.answered?.();
+    this.stream?.end();
+    if (this.record !== null) this.toggleRecord();
+    element<HTMLButtonElement>("stop").disabled = true;
+    element<HTMLButtonElement>("record").disabled = true;
+  }
+
+  private toggleRecord(): void {
+    const button = element<HTMLButtonElement>("record");
+    const recording = this.record === null;
+    if (this.record !== null) save(`${this.record.join("\n")}\n`, "hands.jsonl");
+    this.record = recording ? [this.lastHeader] : null;
+    button.classList.toggle("on", recording);
+    button.textContent = recording ? "Stop and save" : "Record";
+    // One clip has one header: what is in it stays while it is recorded.
+    for (const id of ["length", "fov", "mirrored"]) {
+      element<HTMLInputElement>(id).disabled = recording || (id === "fov" && this.config.camera_file);
+    }
+  }
+
+  private acceptDrops(): void {
+    const box = document.body;
+    box.addEventListener("dragover", (event) => {
+      event.preventDefault();
+      box.classList.add("drop");
+    });
+    for (const name of ["dragleave", "drop"]) box.addEventListener(name, () => box.classList.remove("drop"));
+    box.addEventListener("drop", (event) => {
+      event.preventDefault();
+      const file = event.dataTransfer?.files[0];
+      if (file) void this.start(() => Source.file(file));
+    });
+  }
+
+  private sayFacts(): void {
+    const now = performance.now();
+    this.arrivals = this.arrivals.filter((at) => at > now - 2000);
+    const [first, last] = [this.arrivals[0], this.arrivals[this.arrivals.length - 1]];
+    if (first === undefined || last === undefined || last === first) {
+      this.page.say(this.stream?.open ? "ready" : "");
+      return;
+    }
+    const rate = (1000 * (this.arrivals.length - 1)) / (last - first);
+    const delay = [...this.delays].sort((a, b) => a - b)[Math.floor(this.delays.length / 2)];
+    const late = delay === undefined ? "" : ` · delay ${Math.round(delay)} ms`;
+    const kept = this.record === null ? "" : ` · ${this.record.length - 1} frames recorded`;
+    this.page.say(`${rate.toFixed(1)} fps${late}${kept}`);
+  }
+}
+
+function save(text: string, name: string): void {
+  const url = URL.createObjectURL(new Blob([text], { type: "application/x-ndjson" }));
+  Object.assign(document.createElement("a"), { href: url, download: name }).click();
+  setTimeout(() => URL.revokeObjectURL(url), 10_000);
+}
