@@ -7,7 +7,7 @@ import torch
 from tests.training.tiny import tiny_run
 
 from twohands.geometry.heatmaps import encode_heatmaps
-from twohands.training.stages import Pose2DStage, believed_depth, heatmap_losses
+from twohands.training.pose_stages import Pose2DStage, believed_depth, heatmap_losses
 
 
 def run_and_maps(depth: float, at_px: float = 0.0):

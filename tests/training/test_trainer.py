@@ -16,7 +16,9 @@ from twohands.models.pose_net_2d import PoseNet2D
 from twohands.models.presets import build_network
 from twohands.training.batches import BatchDataset
 from twohands.training.config import AugmentConfig, OptimConfig, TrainConfig, with_override
-from twohands.training.stages import build_stage, heatmap_losses, judge_losses, normalised
+from twohands.training.pose_stages import heatmap_losses, judge_losses
+from twohands.training.stage import normalised
+from twohands.training.stages import build_stage
 from twohands.training.state import build_optimizer
 from twohands.training.trainer import STATE_FILE, train
 

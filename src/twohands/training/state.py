@@ -16,7 +16,8 @@ from twohands.errors import CheckpointError, InputError
 from twohands.models.checkpoint import load_tensors, save_tensors
 from twohands.training.config import OptimConfig, TrainConfig
 from twohands.training.muon import Muon, is_hidden
-from twohands.training.stages import Stage, build_stage
+from twohands.training.stage import Stage
+from twohands.training.stages import build_stage
 
 
 def build_optimizer(stage: Stage, config: OptimConfig) -> torch.optim.Optimizer:

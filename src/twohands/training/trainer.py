@@ -27,7 +27,7 @@ from twohands.training.log import RunLog, Running, cut_log
 from twohands.training.parallel import process_layout, share_batch_norm
 from twohands.training.schedule import learning_rate, progress, update_average
 from twohands.training.segmenter import OpenSegmentation, Segmenter
-from twohands.training.stages import Stage
+from twohands.training.stage import Stage
 from twohands.training.state import TrainState, fresh_state
 
 STATE_FILE = "state.safetensors"
