@@ -216,6 +216,15 @@ def test_every_module_lives_in_a_known_room():
     assert not unknown, "new rooms must be given a storey in this test"
 
 
+def test_modules_stay_readable():
+    """At most 450 lines a module, so that each has one job; 120 for a verb of eval."""
+    lengths = {
+        dotted_name(path, PACKAGE): len(path.read_text(encoding="utf-8").splitlines()) for path in modules(PACKAGE)
+    }
+    most = {module: 120 if module.startswith("twohands.cli.eval.") else 450 for module in lengths}
+    assert not {module: length for module, length in lengths.items() if length > most[module]}
+
+
 PACKAGE_RULES = [
     *(forbidden_rooms, front_door, forbidden_sub_rooms, private_names, program_strangers),
     *(forbidden_extras, spoken, geometry_strangers),
