@@ -113,7 +113,7 @@ class Live {
   private took(frame: Frame, text: string): void {
     if (this.header === null) return;
     const now = performance.now();
-    this.arrivals = [...this.arrivals.filter((at) => at > now - 2000), now];
+    this.arrivals = [...this.arrivals.filter((at, i, all) => at > now - 2000 || i >= all.length - 3), now];
     const own = this.inFlight;
     if (own !== null && frame.time_s !== null && Math.abs(own.timeS - frame.time_s) < 1e-4) {
       this.delays.push(now - own.takenMs);
@@ -229,10 +229,9 @@ class Live {
   }
 
   private sayFacts(): void {
-    const now = performance.now();
-    this.arrivals = this.arrivals.filter((at) => at > now - 2000);
     const [first, last] = [this.arrivals[0], this.arrivals[this.arrivals.length - 1]];
-    if (first === undefined || last === undefined || last === first) {
+    const idle = last === undefined || performance.now() > last + 1000 * PATIENCE_S;
+    if (idle || first === undefined || last === first) {
       this.page.say(this.stream?.open ? "ready" : "");
       return;
     }

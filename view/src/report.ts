@@ -98,7 +98,7 @@ class Player {
       this.moveTo(this.start + about.mediaTime + 0.002);
       this.follow(film);
     });
-    film.onended = () => this.pause();
+    film.onended = () => this.clock !== null && this.moveTo(Infinity); // its last pictures may not have been seen
   }
 
   private moveTo(seconds: number): void {

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from twohands.errors import InputError
-from twohands.inference.frames import Frame
+from twohands.inference.frames import STALL_TIMEOUT_S, Frame
 from twohands.live.clip import LiveClip
 from twohands.live.messages import Settings, parse_picture, picture_of
 
@@ -95,7 +95,7 @@ class Worker:
         with self._news:
             self._stopped = True
             self._news.notify()
-        self._thread.join(timeout=5.0)
+        self._thread.join(STALL_TIMEOUT_S + 5.0)  # a process that ends while it estimates would abort
 
     def begin(self, settings: Settings) -> None:
         """A new clip; a picture that waits belongs to the old one and is dropped."""
