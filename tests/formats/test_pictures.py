@@ -1,9 +1,11 @@
 """Pictures from files: every kind comes out as 8-bit RGB, and nothing damaged gets through."""
 
+import os
 import struct
 import sys
 import zlib
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -122,7 +124,12 @@ def test_a_png_that_promises_rows_it_does_not_hold_is_refused():
     [
         (b"", "empty"),
         (b"hello, this is text" * 10, "not an image"),
-        (b"GIF89a" + bytes(100), "not an image"),
+        (b"GIF89a" + bytes(100), "a GIF, no picture that can be read; make it a PNG or JPEG"),
+        (b"\0\0\0\x0cJXL \r\n\x87\n" + bytes(100), "a JPEG XL"),
+        (b"\0\0\0\x0cjP  \r\n\x87\n" + bytes(100), "a JPEG 2000"),
+        (b"\0\0\0\x18ftypcrx " + bytes(100), "a camera's raw picture"),
+        (b"\0\0\0\x18ftypqt  " + bytes(100), "a video, .* endings"),
+        (b"P6 64 48 255\n" + bytes(100), "a PNM"),
         (b"\x00" * 500, "not an image"),
         (encoded(".png", RGB[:1, :1]), "too small: 1x1"),
         (encoded(".png", RGB[:31, :64]), "too small: 64x31"),
@@ -225,7 +232,7 @@ def test_a_folder_that_may_be_listed_but_not_entered_is_refused(tmp_path, monkey
         raise PermissionError(13, "Permission denied")
 
     (tmp_path / "a.png").touch()
-    monkeypatch.setattr(Path, "is_file", forbidden)
+    monkeypatch.setattr(Path, "is_dir", forbidden)
     with pytest.raises(InputError, match="cannot be read: Permission denied"):
         list_images(tmp_path)
 
@@ -276,6 +283,41 @@ def test_pictures_are_found_by_their_content_and_the_rest_is_listed(tmp_path):
     assert [path.name for path in content.others] == ["film.mov", "notes.txt", "raw.dng"]
 
 
+def test_links_to_nowhere_and_pipes_are_listed(tmp_path):
+    """Not left out without a word, and not waited for."""
+    (tmp_path / "photo.jpg").write_bytes(FILES["jpeg"])
+    (tmp_path / "link.jpg").symlink_to("photo.jpg")
+    (tmp_path / "broken.jpg").symlink_to("gone.jpg")
+    (tmp_path / "loop.jpg").symlink_to("loop.jpg")
+    (tmp_path / "folder.jpg").mkdir()
+    os.mkfifo(tmp_path / "pipe.jpg")
+    content = look_through(tmp_path)
+    assert [path.name for path in content.pictures] == ["link.jpg", "photo.jpg"]
+    assert [path.name for path in content.others] == ["broken.jpg", "loop.jpg", "pipe.jpg"]
+
+
+def tiff(*tags: tuple[int, int]) -> bytes:
+    """A grey TIFF of 64x48, and other tags; those of one number each, 16 bits."""
+    known = {256: 64, 257: 48, 258: 8, 259: 1, 262: 1, 273: 512, 277: 1, 278: 48, 279: 64 * 48} | dict(tags)
+    entries = b"".join(struct.pack("<HHIHxx", tag, 3, 1, value) for tag, value in sorted(known.items()))
+    head = struct.pack("<2sHIH", b"II", 42, 8, len(known)) + entries + bytes(4)
+    return head.ljust(512, b"\0") + RGB[..., 0].tobytes()
+
+
+@pytest.mark.parametrize("tag", [(254, 1), (262, 32803), (262, 34892)])
+def test_a_preview_in_a_raw_file_is_not_taken_for_the_picture(tag, tmp_path):
+    """DNG, NEF and ARW are TIFFs whose first picture is a thumbnail: it was tracked, without a word."""
+    np.testing.assert_array_equal(decode_image(tiff())[..., 0], RGB[..., 0])
+    (tmp_path / "IMG_1.dng").write_bytes(tiff(tag))
+    with pytest.raises(InputError, match=r"IMG_1\.dng: a camera's raw picture"):
+        read_image(tmp_path / "IMG_1.dng")
+
+
+def test_the_raw_file_of_a_canon_is_none_that_is_cut_off():
+    with pytest.raises(InputError, match="a camera's raw picture"):
+        decode_image(b"II*\0\x10\0\0\0CR\x02\0" + bytes(200))
+
+
 @pytest.mark.skipif(not cv2.haveImageWriter(".avif"), reason="this OpenCV cannot write AVIF")
 @pytest.mark.parametrize("depth", [8, 10, 12])
 def test_deep_avif_pictures_keep_their_brightness(depth):
@@ -301,13 +343,29 @@ def test_a_picture_of_too_many_pixels_is_refused_by_its_header(width, height, tm
 
 def test_a_heic_picture_names_its_extra(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pi_heif", None)
-    size = struct.pack(">I4sIII", 20, b"ispe", 0, 64, 48)
+    (tmp_path / "a.heic").write_bytes(heic(64, 48))
+    with pytest.raises(MissingExtraError, match=r"a\.heic: a HEIC picture needs the extra 'heic'"):
+        read_image(tmp_path / "a.heic")
+
+
+def heic(width: int, height: int) -> bytes:
+    """The descriptions of a HEIC file, and nothing to decode."""
+    size = struct.pack(">I4sIII", 20, b"ispe", 0, width, height)
     ipco = struct.pack(">I4s", 8 + len(size), b"ipco") + size
     iprp = struct.pack(">I4s", 8 + len(ipco), b"iprp") + ipco
     meta = struct.pack(">I4sI", 12 + len(iprp), b"meta", 0) + iprp
-    (tmp_path / "a.heic").write_bytes(struct.pack(">I4s4sI4s", 20, b"ftyp", b"heic", 0, b"mif1") + meta)
-    with pytest.raises(MissingExtraError, match=r"a\.heic: a HEIC picture needs the extra 'heic'"):
-        read_image(tmp_path / "a.heic")
+    return struct.pack(">I4s4sI4s", 20, b"ftyp", b"heic", 0, b"mif1") + meta
+
+
+@pytest.mark.parametrize("shape", [(48, 64), (48, 64, 2), (48, 64, 3), (48, 64, 4)])
+def test_grey_and_colour_of_heic_become_rgb(shape, monkeypatch):
+    """libheif gives a monochrome picture two dimensions; it was called damaged."""
+    pixels = np.arange(np.prod(shape), dtype=np.uint64).reshape(shape).astype(np.uint8)
+    decoder = SimpleNamespace(open_heif=lambda file, convert_hdr_to_8bit: pixels)
+    monkeypatch.setitem(sys.modules, "pi_heif", decoder)
+    colours = pixels.reshape(48, 64, -1)
+    expected = colours[..., :3] if colours.shape[2] > 2 else colours[..., :1].repeat(3, axis=2)
+    np.testing.assert_array_equal(decode_image(heic(64, 48)), expected)
 
 
 @pytest.mark.skipif(not FIELD.is_dir(), reason="../shared/field is not here")

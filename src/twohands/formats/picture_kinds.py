@@ -140,6 +140,8 @@ def _bmp_extent(data: bytes) -> Extent | None:
 _TIFF_SIZES: Final = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 16: 8, 17: 8, 18: 8}
 """Bytes of TIFF's types of numbers."""
 _TIFF_WORDS: Final = {1: "B", 3: "H", 4: "I", 16: "Q"}
+_RAW_COLOURS: Final = (32803, 34892)
+"""Photometric interpretations of DNG: a filter array, and what becomes of it."""
 _MOST_TIFF_NUMBERS: Final = 1 << 20
 
 
@@ -192,6 +194,15 @@ def noted_orientation(data: bytes) -> int:
     tags = tiff_tags(metadata_chunk(data) or b"") or {}
     (orientation, *_) = tags.get(274) or [1]
     return orientation if 1 <= orientation <= 8 else 1
+
+
+def is_raw(data: bytes) -> bool:
+    """Whether a TIFF is the raw file of a camera: its first picture is a small preview, or sensor values that are no
+    colours yet (DNG, CR2, NEF, ARW, ...)."""
+    if data[8:10] == b"CR":
+        return True
+    tags = tiff_tags(data) or {}
+    return bool((tags.get(254) or [0])[0] & 1) or (tags.get(262) or [0])[0] in _RAW_COLOURS
 
 
 def _tiff_is_complete(data: bytes) -> bool:
@@ -294,6 +305,37 @@ HEIC: Final = PictureKind(
 )
 KINDS: Final = (PNG, JPEG, WEBP, BMP, TIFF, AVIF, HEIC)
 SUFFIXES: Final = tuple(suffix for kind in KINDS for suffix in kind.suffixes)
+
+
+_OTHERS: Final[tuple[tuple[bytes, str], ...]] = (
+    (b"GIF8", "a GIF"),
+    (b"\0\0\0\x0cjP  ", "a JPEG 2000"),
+    (b"\xff\x4f\xff\x51", "a JPEG 2000"),
+    (b"\0\0\0\x0cJXL ", "a JPEG XL"),
+    (b"\xff\x0a", "a JPEG XL"),
+    (b"8BPS", "a Photoshop file"),
+    (b"v/1\x01", "an OpenEXR"),
+    (b"#?RADIANCE", "a Radiance HDR"),
+    (b"\0\0\1\0", "an icon"),
+    (b"FUJIFILMCCD-RAW", "a camera's raw picture"),
+    (b"IIRO", "a camera's raw picture"),
+    (b"IIU\0", "a camera's raw picture"),
+    (b"%PDF", "a PDF"),
+    (b"%!PS", "a PostScript file"),
+    (b"<svg", "an SVG"),
+    (b"P3", "a PNM"),
+    (b"P5", "a PNM"),
+    (b"P6", "a PNM"),
+    (b"\x1a\x45\xdf\xa3", "a video"),
+)
+"""First bytes of pictures and documents that are not read."""
+
+
+def other_kind_of(data: bytes) -> str | None:
+    """What a file that is no picture of ours is, by its first bytes, with its article; None where they do not tell."""
+    if data[4:8] == b"ftyp":
+        return "a camera's raw picture" if data[8:12] == b"crx " else "a video"
+    return next((name for start, name in _OTHERS if data.startswith(start)), None)
 
 
 def kind_of(data: bytes) -> PictureKind | None:

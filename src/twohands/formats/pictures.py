@@ -25,11 +25,14 @@ from twohands.formats.picture_kinds import (
     KINDS,
     PNG,
     SUFFIXES,
+    TIFF,
     WEBP,
     PictureKind,
+    is_raw,
     iso_properties,
     kind_of,
     noted_orientation,
+    other_kind_of,
 )
 
 IMAGE_SUFFIXES: Final = SUFFIXES
@@ -46,11 +49,11 @@ _ROWS: Final = 512
 
 @dataclass(frozen=True, slots=True)
 class FolderContent:
-    """The files of a folder; hidden ones and subfolders do not count.
+    """What a folder holds; hidden files and subfolders do not count.
 
     Attributes:
         pictures: by their endings or first bytes, in natural order (frame2 before frame10).
-        others: the rest, in the same order.
+        others: the rest, in the same order; links to nowhere and pipes, too.
     """
 
     pictures: list[Path]
@@ -64,11 +67,13 @@ def look_through(folder: Path) -> FolderContent:
         InputError: the folder cannot be read.
     """
     try:
-        files = [path for path in folder.iterdir() if not path.name.startswith(".") and path.is_file()]
+        files = [path for path in folder.iterdir() if not path.name.startswith(".") and not path.is_dir()]
     except OSError as error:
         raise InputError(f"{folder}: cannot be read: {error.strerror}") from error
     files.sort(key=lambda path: natural_key(path.name))
-    pictures = [path for path in files if path.suffix.lower() in IMAGE_SUFFIXES or _begins_as_picture(path)]
+    pictures = [
+        path for path in files if path.is_file() and (path.suffix.lower() in IMAGE_SUFFIXES or _begins_as_picture(path))
+    ]
     known = set(pictures)
     return FolderContent(pictures, [path for path in files if path not in known])
 
@@ -221,7 +226,12 @@ def _kind(data: bytes) -> PictureKind:
         )
         if begun or (len(data) < 12 and data[:3] == b"\0\0\0" and b"ftyp".startswith(data[4:8])):
             raise InputError("the image is cut off or damaged")
+        if (other := other_kind_of(data)) is not None:
+            remedy = "videos are told by their names' endings" if other == "a video" else "make it a PNG or JPEG"
+            raise InputError(f"{other}, no picture that can be read; {remedy}")
         raise InputError(f"not an image ({', '.join(kind.name for kind in KINDS)})")
+    if kind is TIFF and is_raw(data):
+        raise InputError("a camera's raw picture, of which only a small preview could be read; make it a PNG or JPEG")
     return kind
 
 
@@ -236,8 +246,10 @@ def _decode_heic(data: bytes) -> np.ndarray | None:
         pixels: Any = np.asarray(image)
     except Exception:  # a damaged file fails in many ways
         return None
-    if pixels.ndim != 3 or pixels.dtype != np.uint8:
+    if pixels.ndim not in (2, 3) or pixels.dtype != np.uint8:
         return None
+    if pixels.ndim == 2 or pixels.shape[2] < 3:  # grey
+        return np.repeat(pixels.reshape(*pixels.shape[:2], -1)[..., :1], 3, axis=2)
     return np.ascontiguousarray(pixels[..., 2::-1])
 
 
