@@ -42,6 +42,7 @@ SIZE = (640, 360)
         (PinholeCamera.from_fov(1.2, *SIZE), "radians? 1.2 radians are 69 degrees"),
         (PinholeCamera.from_fov(179.9, *SIZE), "fisheye"),
         (PinholeCamera(4.25, 4.25, 320, 180, *SIZE), "millimetres"),
+        (PinholeCamera(4.25, 4.25, 3.2, 1.8, *SIZE), "look like millimetres"),
         (PinholeCamera(0.39, 0.7, 0.5, 0.5, *SIZE), "fractions"),
         (PinholeCamera(250, 250, 180, 320, *SIZE), "cx and cy, or width and height, look exchanged"),
         (PinholeCamera(250, 250, 0, 0, *SIZE), "far from its middle"),

@@ -21,6 +21,8 @@ RANGE_M: Final = (0.08, 8.0)
 """Distance at which a hand fills a lens, and at which it is a few pixels."""
 CENTRED: Final = (0.25, 0.75)
 """Where the principal point lies, as fractions of width and height."""
+LARGEST_NUMBER: Final = 1e9
+"""Of a joint's coordinates, in whatever unit: no picture or room is larger, and squares of them can still be summed."""
 _LIKELY_HAND_M: Final = (0.075, 0.135)
 _LIKELY_FOV_DEG: Final = (25.0, 130.0)
 
@@ -56,10 +58,12 @@ def camera_doubts(camera: PinholeCamera) -> list[str]:
     long_side, focal = max(camera.width, camera.height), max(camera.fx, camera.fy)
     fov_deg = 2 * math.degrees(math.atan(long_side / (2 * focal)))
     if max(camera.fx, camera.fy, abs(camera.cx), abs(camera.cy)) < 10 and min(camera.width, camera.height) >= 32:
+        guess = "fractions of its size: multiply them by its width and height"
+        if min(camera.cx, camera.cy) > 1:
+            guess = "millimetres: divide them by the size of the sensor's pixels"
         return [
             f"intrinsics of fx {camera.fx:g}, fy {camera.fy:g}, cx {camera.cx:g}, cy {camera.cy:g} for a picture of "
-            f"{camera.width}x{camera.height} look like fractions of its size: multiply them by its width and height, "
-            "pixels are expected"
+            f"{camera.width}x{camera.height} look like {guess}, pixels are expected"
         ]
     low, high = FIELD_OF_VIEW_DEG
     doubts = []

@@ -151,6 +151,27 @@ def test_what_is_wrong_is_named(tmp_path: Path, change, message: str) -> None:
     assert "p.json" in str(caught.value) and "\n" not in str(caught.value)
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("value", [-1e308, 1e9, 1e-308, 0.0])
+@pytest.mark.parametrize("field", ["joints_m", "joints_px", "canonical"])
+def test_extreme_numbers_are_refused_or_taken_without_numpys_warnings(tmp_path: Path, field: str, value: float) -> None:
+    """So far from the root joint: the wrist, a fingertip, the whole hand."""
+    for joint in (WRIST, 20, slice(None)):
+        content = truth_as_json(field, *["joints_px"] * (field == "canonical"))
+        joints = np.array(content["images"][0]["left"][field])
+        joints[joint] = joints[ROOT] + value
+        content["images"][0]["left"][field] = joints.tolist()
+        with contextlib.suppress(DataFormatError):
+            imported(write(tmp_path / "p.json", content))
+
+
+def test_absurd_numbers_are_named(tmp_path: Path) -> None:
+    content = truth_as_json("joints_px")
+    content["images"][0]["left"]["joints_px"][7][0] = -1e308
+    with pytest.raises(DataFormatError, match=r"'00000', left hand: joints_px: a number of 1e\+308; at most 1e\+09"):
+        imported(write(tmp_path / "p.json", content))
+
+
 def test_files_that_are_none(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no such file"):
         read_foreign(tmp_path / "p.json")

@@ -142,7 +142,15 @@ def test_a_resized_picture_gets_the_resized_camera():
     assert (odd.width, odd.height) == (1366, 768)
 
 
-@pytest.mark.parametrize("size", [(640, 480), (1080, 1920), (1920, 1200), (1366, 800)])
+@pytest.mark.parametrize("size", [(1080, 1920), (540, 960)])
+def test_a_camera_of_pictures_held_otherwise_is_refused(size):
+    """A telephone's pictures are turned upright as EXIF says; a calibration from its video is of the sensor as it
+    lies."""
+    with pytest.raises(InputError, match="held upright, or its sides are exchanged"):
+        camera_for_image(PinholeCamera(800, 800, 960, 540, 1920, 1080), *size)
+
+
+@pytest.mark.parametrize("size", [(640, 480), (1920, 1200), (1366, 800)])
 def test_another_aspect_ratio_is_refused(size):
     with pytest.raises(InputError, match="another aspect ratio"):
         camera_for_image(PinholeCamera(800, 800, 960, 540, 1920, 1080), *size)
@@ -355,6 +363,10 @@ def test_names_of_opencvs_own_model_are_read(tmp_path, model):
         (INTERACTIVE.replace("opencv_storage", "calibration"), "not of OpenCV"),
         (INTERACTIVE[:200], "not XML"),
         ("PK\x03\x04 numpy's", "numpy"),
+        ("[camera]\nfx = 500\n", "an INI or TOML file"),
+        ("[LEFT_CAM_HD]\nfx=500\n", "an INI or TOML file"),
+        ("# oST version 5.0 parameters\n\n\n[image]\n\nwidth\n640\n", "an INI or TOML file"),
+        ("# made by hand\nD = [0.1, 0.2]\nK = [500.0, 0.0]\n", "an INI or TOML file"),
         (ROS.replace("rows: 3\n  cols: 3\n  data: [250", "rows: 4\n  cols: 3\n  data: [250"), "4x3 numbers announced"),
     ],
     ids=str,
@@ -363,6 +375,13 @@ def test_what_would_be_lost_or_misread_is_named(tmp_path, content, message):
     (tmp_path / "c.yaml").write_text(content if isinstance(content, str) else json.dumps(content))
     with pytest.raises(TwoHandsError, match=rf"c\.yaml: .*{message}"):
         read_camera(tmp_path / "c.yaml")
+
+
+def test_many_comments_take_no_time(tmp_path):
+    """Each # may begin a comment: a pattern that tries them all takes for ever."""
+    text = "#" * 200 + "\n" + "#\n" * 200 + "".join(f"{key}: {value}\n" for key, value in PLAIN.items())
+    (tmp_path / "c.yaml").write_text(text)
+    assert read_camera(tmp_path / "c.yaml") == PinholeCamera(**PLAIN)
 
 
 def test_a_homogeneous_matrix_is_scaled(tmp_path):

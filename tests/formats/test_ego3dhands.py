@@ -104,6 +104,15 @@ def test_half_known_hand_is_refused() -> None:
         fmt.decode_joints_m(joints)
 
 
+@pytest.mark.parametrize("value", [1e308, -1e200, 1.1e9])
+def test_numbers_that_no_joint_has_are_refused(value: float) -> None:
+    """Their squares overflow: numpy's warnings came out, and lengths were infinite."""
+    joints = np.ones((2, 22, 3))
+    joints[1, 4, 2] = value
+    with pytest.raises(DataFormatError, match="at most 1e\\+09 can be one of a joint"):
+        fmt.decode_joints_m(joints)
+
+
 def test_wrong_shape_is_named() -> None:
     with pytest.raises(DataFormatError, match=r"location_2d.npy.*\(2, 22, 2\).*\(2, 21, 2\)"):
         fmt.decode_joints_px(np.ones((2, 21, 2)), 480, 270)

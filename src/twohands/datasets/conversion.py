@@ -8,6 +8,7 @@ import numpy as np
 
 from twohands.errors import DataFormatError, InputError
 from twohands.geometry.camera import project
+from twohands.plausibility import LARGEST_NUMBER
 from twohands.skeleton import N_JOINTS
 from twohands.types import HandSample, PinholeCamera
 
@@ -32,6 +33,8 @@ def number_array(values: Any, shape: tuple[int, ...], what: str) -> np.ndarray:
         raise DataFormatError(f"{what}: expected an array of numbers of shape {shape}") from None
     if array.shape != shape or not np.isfinite(array).all():
         raise DataFormatError(f"{what}: expected finite numbers of shape {shape}, got shape {array.shape}")
+    if array.size and (largest := float(np.abs(array).max())) > LARGEST_NUMBER:
+        raise DataFormatError(f"{what}: a number of {largest:.3g}; at most {LARGEST_NUMBER:g} can be right")
     return array
 
 

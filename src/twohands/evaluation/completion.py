@@ -17,6 +17,7 @@ from twohands.geometry.boxes import box_from_points
 from twohands.geometry.camera import project
 from twohands.geometry.canonical import canonical_from_camera
 from twohands.geometry.projection import Method, project_global, range_weights
+from twohands.plausibility import LARGEST_NUMBER
 from twohands.skeleton import N_JOINTS, ROOT, WRIST
 from twohands.types import HandPose, HandSample, PinholeCamera
 
@@ -55,8 +56,8 @@ def complete_hand(
         The hand; not valid where nothing tells its place in the camera frame.
 
     Raises:
-        DataFormatError: an array has another shape or is not finite, a box's corners are exchanged, the score is no
-            number from 0 to 1, or nothing is given at all.
+        DataFormatError: an array has another shape, is not finite or of absurd size, a box's corners are exchanged, the
+            score is no number from 0 to 1, or nothing is given at all.
     """
     if score is not None:
         if isinstance(score, bool) or not isinstance(score, Real) or not -ROUNDING <= score <= 1 + ROUNDING:
@@ -71,12 +72,13 @@ def complete_hand(
     if space is None and pixels is None and pose is None and box is None:
         raise DataFormatError("a present hand needs at least one of joints_m, joints_px, canonical and box_px")
     if space is not None:
-        if pixels is None:
+        with np.errstate(all="ignore"):  # of joints next to the pinhole, a wrist next to the root
             projected = np.asarray(project(space, camera, distort=True))
+            own = canonical_from_camera(space)
+        if pixels is None:
             pixels = projected if np.isfinite(projected).all() else None  # behind the camera: not in the picture
         if pose is None:
-            own = canonical_from_camera(space)
-            pose = np.asarray(own.joints) if bool(own.valid) else None
+            pose = np.asarray(own.joints) if np.isfinite(own.joints).all() else None
     elif pixels is not None and pose is not None:
         weights = None if method == "keybone" else range_weights(np.ones(N_JOINTS))
         solved = project_global(pose, pixels, camera, hand_length_m, method=method, weights=weights)
@@ -113,10 +115,12 @@ def unit_pose(joints: FloatArray) -> FloatArray:
     Raises:
         DataFormatError: wrist and root are the same point.
     """
-    length = float(np.linalg.norm(joints[WRIST] - joints[ROOT]))
-    if not length > 0:
+    length = np.linalg.norm(joints[WRIST] - joints[ROOT])
+    with np.errstate(all="ignore"):
+        unit = (joints - joints[ROOT]) / length
+    if not np.isfinite(unit).all():
         raise DataFormatError("canonical: wrist and root joint are the same point, so it has no scale")
-    return (joints - joints[ROOT]) / length
+    return unit
 
 
 def _array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
@@ -128,4 +132,6 @@ def _array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> FloatArray:
         raise DataFormatError(f"{name}: shape {shape} expected, got {array.shape}")
     if not np.isfinite(array).all():
         raise DataFormatError(f"{name}: {int((~np.isfinite(array)).sum())} of {array.size} numbers are not finite")
+    if (largest := float(np.abs(array).max())) > LARGEST_NUMBER:
+        raise DataFormatError(f"{name}: a number of {largest:.3g}; at most {LARGEST_NUMBER:g} can be one of a hand")
     return array

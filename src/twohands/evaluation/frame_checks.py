@@ -109,7 +109,8 @@ class FrameCheck:
 
 
 def _seen(joints_m: FloatArray, camera: PinholeCamera) -> FloatArray:
-    return np.asarray(project(joints_m, camera, distort=True))
+    with np.errstate(all="ignore"):  # of joints next to the pinhole
+        return np.asarray(project(joints_m, camera, distort=True))
 
 
 def read_numbers(value: object, shape: Sequence[int]) -> FloatArray | None:

@@ -45,6 +45,8 @@ _COLMAP: Final[Mapping[str, tuple[str, ...]]] = {
     "FULL_OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
 }
 """Parameters of COLMAP's camera models, in its order."""
+_INI: Final = re.compile(r"(?:#[^\n]*\n\s*)*(?:\[[A-Za-z][\w ]*\]\s*\n|\w+ *= *\S)")
+"""How such a file begins, behind its comments: with [section], or name = value."""
 _COLMAP_LINE: Final = re.compile(r"\d+\s+([A-Z][A-Z_]+)\s+(\d+)\s+(\d+)\s+(.+)")
 
 
@@ -108,9 +110,11 @@ def camera_for_image(camera: PinholeCamera, width: int, height: int) -> PinholeC
         return camera
     one_pixel = max(width, height, camera.width, camera.height)
     if abs(width * camera.height - height * camera.width) > one_pixel:
+        turned = abs(height * camera.height - width * camera.width) <= one_pixel
+        found = "a picture held upright, or its sides are exchanged" if turned else "another aspect ratio"
         raise InputError(
-            f"camera is for {camera.width}x{camera.height}, the image is {width}x{height}: another aspect ratio; "
-            "give the camera of this image size"
+            f"camera is for {camera.width}x{camera.height}, the image is {width}x{height}: {found}; give the camera of "
+            "this image size"
         )
     return camera.resized(width, height)
 
@@ -121,6 +125,8 @@ def _record(data: bytes) -> dict[str, Any]:
         raise DataFormatError("a numpy, MATLAB or pickle file; write the camera as JSON or YAML (docs/inputs.md)")
     text = decode_text(data)
     start = text.lstrip()
+    if _INI.match(start):
+        raise DataFormatError("an INI or TOML file; write the camera as JSON or YAML (docs/inputs.md)")
     if start.startswith(("{", "[")):
         content = parse_json(text)
     elif start.startswith("<"):

@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 
 from twohands.errors import DataFormatError
+from twohands.plausibility import LARGEST_NUMBER
 from twohands.skeleton import N_JOINTS, N_PART_LABELS
 
 COLOR_FILE: Final = "color.png"
@@ -242,6 +243,8 @@ def _nan_from_zeros(points: np.ndarray, dims: int, name: str) -> np.ndarray:
     _check_shape(points, dims, name)
     if not np.isfinite(points).all():
         raise DataFormatError(f"{name}: expected finite numbers, found NaN or infinity")
+    if (largest := float(np.abs(points.astype(np.float64)).max())) > LARGEST_NUMBER:
+        raise DataFormatError(f"{name}: a number of {largest:.3g}; at most {LARGEST_NUMBER:g} can be one of a joint")
     absent = np.asarray((points == 0).all(axis=(1, 2)))  # (2,)
     return np.where(absent[:, None, None], np.nan, points.astype(np.float64))
 
