@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -270,6 +271,31 @@ def test_files_that_are_kept(name):
     (pose,) = place_hands(foreign, sample.camera, LENGTH_M * foreign.bone_ratio, poses=ours)
     for side, hand in enumerate(pose.hands):
         np.testing.assert_allclose(hand.joints_px, sample.joints_px[side], atol=1e-9)
+
+
+def rtmlib_frames(count: int, **about: Any) -> list[dict[str, Any]]:
+    record = json.loads((FILES / "rtmlib.json").read_text())
+    return [record | {name: value(number) for name, value in about.items()} for number in range(count)]
+
+
+@pytest.mark.parametrize("about", [{}, {"frame": lambda number: number}, {"file": "{}.jpg".format}])
+def test_a_list_of_rtmlibs_results_is_one_of_pictures(about):
+    """It was taken for people of one picture: of three frames, one was left."""
+    foreign = from_record(rtmlib_frames(3, **about), drawn_hands(1).camera)
+    assert [(frame.index, len(frame.hands)) for frame in foreign.frames] == [(0, 2), (1, 2), (2, 2)]
+
+
+def test_mmposes_instances_that_name_their_frame_are_of_many_pictures():
+    (instance,) = formats.mmpose_whole_body(SAMPLE)
+    foreign = from_record([instance | {"frame": 4}, instance | {"frame": 5}], SAMPLE.camera)
+    assert [frame.index for frame in foreign.frames] == [4, 5]
+    assert len(from_record([instance, instance], SAMPLE.camera).frames) == 1
+
+
+def test_a_picture_that_is_there_twice_is_refused():
+    """One record for each person, say: the second one's hands were lost."""
+    with pytest.raises(DataFormatError, match="frame 7 is there twice; one record with all hands"):
+        from_record(rtmlib_frames(2, frame=lambda number: 7), SAMPLE.camera)
 
 
 SAMPLE = drawn_hands(1)

@@ -35,7 +35,8 @@ _LISTS: Final = ("frames", "instance_info", "results", "predictions", "images")
 """Keys under which a list of frames is kept."""
 _RESULTS: Final = ("instances", "hands", "result", "results", "predictions", "detections", "outputs")
 """Keys under which a frame that says more about itself keeps the tracker's result."""
-_INDEX: Final = ("frame", "frame_id", "frame_index", "index")
+_FRAME: Final = ("frame", "frame_id", "frame_index")
+_INDEX: Final = (*_FRAME, "index")
 _MILLISECONDS: Final = ("timestamp_ms", "timestampMs", "timestampInMilliseconds")
 _FILE: Final = ("file", "image", "image_path", "img_path", "filename")
 
@@ -147,6 +148,7 @@ def from_record(record: Any, camera: PinholeCamera, hints: Hints | None = None) 
             items = _frames(record, adapter.is_frame)
             if any(adapter.is_frame(result) for _, result in items):
                 frames = tuple(_frame(adapter, i, *item, camera) for i, item in enumerate(items))
+                _refuse_twice([about for about, _ in items])
                 return ForeignHands(adapter.title, hints.view or adapter.view, adapter.bone_ratio, frames)
     keys = _keys(record)
     raise DataFormatError(
@@ -158,7 +160,7 @@ def from_record(record: Any, camera: PinholeCamera, hints: Hints | None = None) 
 
 def _frames(record: Any, is_frame: Callable[[Any], bool]) -> list[tuple[Any, Any]]:
     """(what says index, time and file, the tracker's result) of every frame."""
-    if is_frame(record):
+    if is_frame(record) and not _tells_of_many(record):
         return [(record, record)]
     if isinstance(record, Mapping):
         inside = field(record, *_LISTS)
@@ -169,6 +171,19 @@ def _frames(record: Any, is_frame: Callable[[Any], bool]) -> list[tuple[Any, Any
     elif is_list(record):
         return _frames_of_list(record, is_frame)
     return []
+
+
+def _tells_of_many(record: Any) -> bool:
+    """Whether a list of records is of many pictures: each names its picture, or holds everybody in it (rtmlib)."""
+    return is_list(record) and any(
+        isinstance(one, Mapping)
+        and (field(one, *_FRAME, *_FILE) is not None or np.ndim(_first(field(one, "keypoints"))) == 2)
+        for one in record
+    )
+
+
+def _first(values: Any) -> Any:
+    return values[0] if is_list(values) and len(values) else None
 
 
 def _frames_of_list(items: Iterable[Any], is_frame: Callable[[Any], bool]) -> list[tuple[Any, Any]]:
@@ -183,6 +198,23 @@ def _frames_of_list(items: Iterable[Any], is_frame: Callable[[Any], bool]) -> li
         else:
             found.append((item, item))
     return found
+
+
+def _refuse_twice(abouts: Iterable[Any]) -> None:
+    """Refuses two records of one picture: of the second one's hands nobody would hear.
+
+    Raises:
+        DataFormatError: there are such; named.
+    """
+    seen: set[tuple[str, str]] = set()
+    for about in abouts:
+        number, name = field(about, *_INDEX), field(about, *_FILE)
+        if number is None and name is None:
+            continue
+        if (key := (str(number), str(name))) in seen:
+            which = f"frame {number}" if name is None else str(name)[:60]
+            raise DataFormatError(f"{which} is there twice; one record with all hands of a picture is expected")
+        seen.add(key)
 
 
 def _frame(adapter: _Adapter, position: int, about: Any, result: Any, camera: PinholeCamera) -> ForeignFrame:
