@@ -174,6 +174,14 @@ def test_what_is_for_videos_is_refused_for_pictures(words, picture, tmp_path, ca
     assert f"{words[0]} is for videos" in capsys.readouterr().err
 
 
+def test_an_empty_input_is_not_this_folder(weights, tmp_path, monkeypatch, capsys):
+    """As `twohands track "$PICTURE"` gives it where the variable is not set."""
+    monkeypatch.chdir(tmp_path)
+    assert run_track("", "--weights", weights) == 2
+    assert capsys.readouterr().err.startswith("twohands: error: INPUT is empty")
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_folder_of_broken_images_is_an_error(weights, tmp_path, capsys):
     folder = tmp_path / "in"
     folder.mkdir()

@@ -118,6 +118,8 @@ class Picture:
 def run(args: TrackArgs) -> int:
     """Carry out `twohands track`."""
     known = known_by(args.camera, args.fov, args.hand_length, args.profile)
+    if not args.input:
+        raise InputError("INPUT is empty: an image, a folder, a video or a camera is needed")
     if is_video(args.input):
         return _track_clip(args, known)
     _refuse_video_options(args)
@@ -275,11 +277,11 @@ def track_pictures(
                     raise
                 _say(f"skipped {picture.path}: {error}")
                 continue
+            poses.append(replace(pose, masks=None))  # before its drawings, for which the disk may be too small
             name = names[picture.index]
             write_file(out / f"{name}_overlay.png", _png(draw_overlay(picture.image, pose)))
             if with_views:
                 with_views = _write_views(out / f"{name}_views.png", picture, pose)
-            poses.append(replace(pose, masks=None))
             if time.monotonic() - kept > KEEP_EVERY_S:  # for an end that lets nothing more be done
                 keep()
                 kept = time.monotonic()
