@@ -3,8 +3,8 @@
 # there is one; tracks there, and runs the tests that need nothing more.
 set -euo pipefail
 cd "$(dirname "$0")/.."
-python=${PYTHON:-python3.10}
-"$python" --version > /dev/null 2>&1 || python=$PWD/.venv/bin/python # a shim may be there without its Python
+. .ci/find-python.sh
+python=${PYTHON:-$(find_python 3.10 || echo "$PWD/.venv/bin/python")}
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 sed -n '/^dependencies = \[/,/^\]/s/^ *"\([^"]*\)>=\([^"]*\)",.*/\1==\2/p' pyproject.toml > "$work/bounds.txt"
