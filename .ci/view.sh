@@ -10,7 +10,7 @@ if ! command -v npm > /dev/null || ! timeout 20 npm ping > /dev/null 2>&1; then
 fi
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
-cp -r package.json package-lock.json build.mjs src "$work"
+cp -r package.json package-lock.json tsconfig.json build.mjs src "$work"
 cd "$work"
 npm ci --omit=dev --ignore-scripts --no-audit --no-fund --loglevel=error > /dev/null
 node build.mjs "$work/view.js"

@@ -7,7 +7,7 @@ import { build } from "esbuild";
 const here = new URL(".", import.meta.url);
 const sources = readdirSync(new URL("src/", here)).sort().map((name) => `src/${name}`);
 const hash = createHash("sha256");
-for (const name of ["build.mjs", "package-lock.json", ...sources]) {
+for (const name of ["build.mjs", "package-lock.json", "tsconfig.json", ...sources]) {
   hash.update(name).update("\0").update(readFileSync(new URL(name, here))).update("\0");
 }
 await build({
