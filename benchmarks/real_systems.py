@@ -19,7 +19,8 @@ from twohands.geometry.anatomy import HAND_LENGTH
 from twohands.geometry.network_input import letterbox, network_input
 from twohands.inference.engine import load_networks
 from twohands.inference.estimator import HandEstimator
-from twohands.inference.tracker import HandTracker
+from twohands.inference.following import Trail
+from twohands.inference.video import VideoEstimator
 from twohands.inference.weights import preset_folder, read_card
 from twohands.peers.base import by_own_handedness
 from twohands.peers.mediapipe_hands import MediaPipeHands
@@ -46,8 +47,7 @@ class System(Protocol):
 
 
 class OurWeights:
-    """The pipeline with some weights. In a video every frame is told what was found one frame before, and ranges are
-    smoothed.
+    """The pipeline with some weights; a video's frames as `twohands track` sees them (`inference.video`).
 
     Args:
         estimator: the pipeline.
@@ -61,21 +61,18 @@ class OurWeights:
     def poses(self, part: Part) -> Iterator[tuple[HandSample, TwoHandPose]]:
         """See `System`."""
         for _, samples in by_folder(part):
-            tracker, previous = HandTracker(), None
+            video = VideoEstimator()
             for index, sample in enumerate(samples):
-                if part.length_m is None:
-                    length_m: float | np.ndarray = hand_lengths_m(sample)
-                else:
-                    length_m = part.length_m / HAND_LENGTH
-                pose = self.estimator.estimate(
-                    sample.image, sample.camera, length_m, index=index, previous=previous if part.video else None
-                )
-                if part.video:
-                    previous, pose = pose, tracker.update(pose)
+                estimate = self._estimate(part, sample, index)
+                pose = video.update(estimate) if part.video else estimate(None)
                 if part.real_joints:
                     left, right = map(with_anatomical_joints, pose.hands)
                     pose = replace(pose, left=left, right=right)
                 yield sample, pose
+
+    def _estimate(self, part: Part, sample: HandSample, index: int) -> Callable[[Trail | None], TwoHandPose]:
+        length_m = hand_lengths_m(sample) if part.length_m is None else part.length_m / HAND_LENGTH
+        return lambda trail: self.estimator.estimate(sample.image, sample.camera, length_m, index=index, previous=trail)
 
 
 class MediaPipe:

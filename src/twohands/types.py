@@ -212,6 +212,8 @@ class HandPose:
         key_bone: "wrist" or "little".
         method: how the root was placed: "fitted", "all-joints", "keybone"; or "predicted" from earlier frames.
         valid: whether the camera-space result can be used.
+        side_logit: log-odds that the hand is of this side and not of the other, as this picture alone says; None where
+            nobody says; not exported.
     """
 
     present: bool
@@ -227,6 +229,7 @@ class HandPose:
     key_bone: str | None = None
     method: str | None = None
     valid: bool | None = None
+    side_logit: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,6 +241,7 @@ class TwoHandPose:
         camera: intrinsics that were used.
         masks: (H, W) uint8, 0 background, 1 left, 2 right; not exported.
         index, time_s: position in the source.
+        followed: whether the hands were looked for only where those of the frame before should be; not exported.
     """
 
     left: HandPose
@@ -246,6 +250,7 @@ class TwoHandPose:
     masks: np.ndarray | None = field(default=None, repr=False)
     index: int = 0
     time_s: float | None = None
+    followed: bool = False
 
     @property
     def hands(self) -> tuple[HandPose, HandPose]:

@@ -161,7 +161,7 @@ def test_only_a_hand_far_from_its_box_is_looked_at_again():
     estimator = restaged(estimator, crop=lambda *arguments: cut.append(plain_crop(*arguments)) or cut[-1])
     masks = hand_masks(sample)
     rough = HandBoxes(rough_px, np.array([True, True]), np.ones(2))
-    _, boxes, look = estimator.find_hands(sample.image, masks, rough, sample.camera)
+    _, boxes, look, _ = estimator.find_hands(sample.image, masks, rough, sample.camera)
     np.testing.assert_array_equal(rough.boxes_px, rough_px)  # named case: boxes that came in were written over
     assert [crop.side for crop in cut] == [LEFT, RIGHT, RIGHT]
     assert look.crops[LEFT] is cut[0] and look.crops[RIGHT] is cut[2]
@@ -720,7 +720,7 @@ def test_a_hand_with_its_joints_nowhere_in_particular_is_none(scores):
 
     estimator = restaged(estimator, locate=unsure, read_out=scored)
     masks, boxes = estimator.segment(sample.image)
-    masks, boxes, look = estimator.find_hands(sample.image, masks, boxes, sample.camera)
+    masks, boxes, look, _ = estimator.find_hands(sample.image, masks, boxes, sample.camera)
     there = [True, scores > 0.5]
     assert boxes.present.tolist() == there and look.sides.tolist() == np.flatnonzero(there).tolist()
     assert (boxes.scores > 0.5).tolist() == there and np.isfinite(boxes.boxes_px).all(axis=1).tolist() == there

@@ -7,7 +7,15 @@ import pytest
 from tests.oracles import drawn_hands
 
 from twohands.errors import InputError
-from twohands.inference.side_keeping import INSIST_FRAMES, SideKeeper, with_sides_exchanged
+from twohands.geometry.boxes import box_from_points
+from twohands.inference.side_keeping import (
+    KEPT_SHARE,
+    MEMORY_FRAMES,
+    NOTHING_KNOWN,
+    TRUST,
+    SideKeeper,
+    with_sides_exchanged,
+)
 from twohands.inference.video import VideoEstimator
 from twohands.skeleton import LEFT, ROOT
 from twohands.types import HandPose, TwoHandPose
@@ -38,27 +46,47 @@ def test_exchanging_twice_changes_nothing_and_masks_follow():
     assert with_sides_exchanged(once).left is pose.left
 
 
-def test_a_frame_with_exchanged_hands_is_put_right():
+def updated(keeper: SideKeeper, pose: TwoHandPose) -> TwoHandPose:
+    """One frame through a keeper."""
+    kept = keeper.kept(pose)
+    keeper.remember(kept)
+    return kept
+
+
+def test_frames_with_exchanged_hands_are_put_right():
     keeper = SideKeeper()
-    for index in range(12):
-        kept = keeper.update(pose_of(index, exchanged=index in (3, 7, 8)))
+    for index in range(16):
+        kept = updated(keeper, pose_of(index, exchanged=index in (7, 11, 12)))
         assert is_left(kept.left), index
     assert keeper.changes == 0
 
 
 def test_one_hand_alone_keeps_its_side():
     keeper = SideKeeper()
-    for index in range(6):
-        kept = keeper.update(pose_of(index, present=(True, False), exchanged=index in (2, 4)))
+    for index in range(10):
+        kept = updated(keeper, pose_of(index, present=(True, False), exchanged=index in (6, 8)))
         assert is_left(kept.left) and not kept.right.present
 
 
-def test_whoever_insists_is_believed_and_counted():
+def test_whoever_insists_is_believed_and_both_changes_count():
     keeper = SideKeeper()
-    keeper.update(pose_of(0))
-    sides = [is_left(keeper.update(pose_of(1 + i, exchanged=True)).left) for i in range(INSIST_FRAMES + 2)]
-    assert sides == [True] * (INSIST_FRAMES - 1) + [False] * 3
-    assert keeper.changes == 1
+    for index in range(20):
+        updated(keeper, pose_of(index))
+    sides = [is_left(updated(keeper, pose_of(20 + i, exchanged=True)).left) for i in range(20)]
+    held = sides.index(False)
+    assert 3 <= held <= 8, "several frames"
+    assert not any(sides[held:])
+    assert keeper.changes == 2
+
+
+def test_the_longer_a_side_was_said_the_longer_it_is_kept():
+    def held(frames: int) -> int:
+        keeper = SideKeeper()
+        for index in range(frames):
+            updated(keeper, pose_of(index))
+        return [is_left(updated(keeper, pose_of(frames + i, exchanged=True)).left) for i in range(20)].index(False)
+
+    assert held(1) < held(4) <= held(40) == held(400)
 
 
 def test_hands_that_come_go_or_move_are_no_exchange():
@@ -66,17 +94,58 @@ def test_hands_that_come_go_or_move_are_no_exchange():
     step = np.ptp(SAMPLE.joints_px[LEFT], axis=0).max() / 4
     for index in range(10):
         pose = pose_of(index, present=(index != 4, index > 2), shift=(index * step, 0.0))
-        assert keeper.update(pose) is pose
+        assert updated(keeper, pose) is pose
+    assert keeper.changes == 0
+
+
+def test_hands_that_pass_each_other_keep_their_sides():
+    """Two hands that move through each other's place are told apart by how they move."""
+    keeper, start = SideKeeper(), pose_of(0)
+    apart = (SAMPLE.joints_px[1] - SAMPLE.joints_px[0]).mean(axis=0)
+    for index in range(21):
+        left, right = (
+            replace(hand, joints_px=hand.joints_px + sign * apart * index / 20)
+            for hand, sign in zip(start.hands, (1, -1), strict=True)
+        )
+        pose = replace(start, left=left, right=right, index=index, time_s=index / 30)
+        assert updated(keeper, pose) is pose, index
     assert keeper.changes == 0
 
 
 def test_a_place_is_forgotten_after_a_while():
     """A hand that comes back where the other one was long ago is that which it is said to be."""
-    keeper = SideKeeper(memory_frames=3)
-    keeper.update(pose_of(0, present=(True, False)))
-    for index in range(1, 6):
-        keeper.update(pose_of(index, present=(False, False)))
-    assert not keeper.update(pose_of(6, present=(True, False), exchanged=True)).left.present
+    keeper = SideKeeper()
+    for index in range(5):
+        updated(keeper, pose_of(index, present=(True, False)))
+    for index in range(5, 6 + MEMORY_FRAMES):
+        updated(keeper, pose_of(index, present=(False, False)))
+    assert not updated(keeper, pose_of(20, present=(True, False), exchanged=True)).left.present
+    assert keeper.changes == 0
+
+
+def test_an_estimator_that_knows_how_sure_it_is_has_decided_itself():
+    """Its hands stay as they are; what every frame says adds up, a part of it is forgotten, and a followed frame says
+    nothing."""
+    memory = NOTHING_KNOWN
+
+    def said(pose, logit):
+        left, right = (replace(hand, side_logit=logit) for hand in pose.hands)
+        return replace(pose, left=left, right=right)
+
+    memory = memory.after(said(pose_of(0), 2.0))
+    boxes_px = np.array([box_from_points(SAMPLE.joints_px[side]) for side in range(2)])
+    once = TRUST * 2.0
+    np.testing.assert_allclose(memory.left_logits(boxes_px), KEPT_SHARE * once * np.array([1, -1]), atol=0.05)
+    memory = memory.after(said(pose_of(1), -1.0))
+    twice = KEPT_SHARE * once - TRUST
+    np.testing.assert_allclose(memory.left_logits(boxes_px), KEPT_SHARE * twice * np.array([1, -1]), atol=0.05)
+    rested = memory.after(replace(pose_of(2), followed=True))
+    np.testing.assert_allclose(rested.left_logits(boxes_px), memory.left_logits(boxes_px))
+    assert not memory.left_logits(boxes_px + 1000).any(), "nothing is known of a hand in another place"
+    keeper = SideKeeper()
+    keeper.memory = memory
+    pose = said(pose_of(2, exchanged=True), 0.1)
+    assert keeper.kept(pose) is pose
 
 
 def test_the_estimator_is_told_what_was_found_before():
@@ -84,14 +153,29 @@ def test_the_estimator_is_told_what_was_found_before():
 
     def estimate(previous, index):
         told.append(previous)
-        return pose_of(index, exchanged=index == 1)
+        return pose_of(index)
 
     for index in range(3):
         video.update(lambda previous, index=index: estimate(previous, index))
-    assert told[0] is None and is_left(told[2].left), "of the hands on the sides that they keep"
+    assert told[0] is None and len(told[1].last) == 1 and not told[1].sides.left_logits(np.full((1, 4), np.nan)).any()
+    assert [pose.index for pose in told[2].last] == [0, 1] and told[2].seen.index == 1
     video.reset()
     video.update(lambda previous: estimate(previous, 0))
     assert told[3] is None, "another clip begins"
+
+
+def test_segmentation_rests_for_so_many_frames_at_most():
+    video, seen = VideoEstimator(rest_frames=2), []
+    for index in range(8):
+
+        def estimate(trail, index=index):
+            rests = trail is not None and trail.may_rest
+            seen.append(None if trail is None else trail.seen.index)
+            return replace(pose_of(index), followed=rests)
+
+        video.update(estimate)
+    assert seen == [None, 0, 0, 0, 3, 3, 3, 6]
+    assert (video.frames, video.rested) == (8, 5)
 
 
 def test_ranges_are_smoothed_unless_that_is_switched_off():

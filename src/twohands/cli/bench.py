@@ -1,6 +1,7 @@
-"""Time the complete pipeline, stage by stage, on pictures that show both hands.
+"""Time the complete pipeline, stage by stage, on pictures that show both hands, or on a clip.
 
-The networks run as for `twohands track`. Reading pictures is not part of the pipeline and stands beneath it.
+The networks run as for `twohands track`. Reading pictures is not part of the pipeline and stands beneath it. Of a clip
+(`--video`) decoding, drawing and writing are timed as well, and all of it side by side.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ import json
 import os
 import platform
 import time
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,11 +19,14 @@ import cv2
 import numpy as np
 import tyro
 
+from twohands.cli.bench_clip import clip_record, measure_clip, open_peer, print_clip_table
 from twohands.cli.demo import examples_folder
+from twohands.cli.track import option
 from twohands.errors import InputError
 from twohands.formats.camera_files import camera_for_image, read_camera
 from twohands.formats.pictures import list_images, read_image
 from twohands.inference.estimator import HandEstimator
+from twohands.inference.frames import VideoFrames
 from twohands.inference.weights import DEFAULT_PRESET
 from twohands.studies.stage_times import ROWS, StageClock, timed_estimate
 from twohands.types import PinholeCamera
@@ -38,14 +43,21 @@ class BenchArgs:
     input: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="INPUT", help_behavior_hint="")] = None
     """Picture or folder of pictures, of which those are used where both hands are found; if not given, the packaged
     examples, 960x540."""
+    video: Annotated[Path | None, option("CLIP")] = None
+    """Time this clip instead: every stage, from the file to the files as `twohands track` works, the most memory, and
+    MediaPipe beside it where it is installed (extra 'video')."""
     count: int = 200
-    """Frames to time; the pictures are taken in turn."""
+    """Frames to time; the pictures are taken in turn, of a clip the first ones."""
     threads: int = 0
     """CPU threads; 0 takes all cores."""
     weights: Annotated[str, tyro.conf.arg(metavar="NAME")] = DEFAULT_PRESET
     """Preset that ships with the package, or a weights folder."""
     json: bool = False
     """Print JSON instead of the table."""
+    peer_python: Annotated[Path | None, option("FILE")] = None
+    """With --video: interpreter of the environment that holds mediapipe; this one if not given."""
+    mediapipe_model: Annotated[Path | None, option("FILE")] = None
+    """With --video: hand_landmarker.task, which mediapipe needs from 0.10.30 on."""
 
 
 def run(args: BenchArgs) -> int:
@@ -56,18 +68,14 @@ def run(args: BenchArgs) -> int:
         raise InputError(f"--threads must be 0 (all cores) or more, got {args.threads}")
     if args.threads:
         cv2.setNumThreads(args.threads)
+    if args.video is not None:
+        return _run_clip(args, args.video)
     files = _files(args.input)
     reading_ms, images = _read_timed(files)
     estimator = HandEstimator.from_preset(args.weights, args.threads)
     pictures = _with_both_hands(estimator, [(image, _camera(args.input, image)) for image in images])
     times_ms = measure(estimator, pictures, args.count)
-    height, width = pictures[0][0].shape[:2]
-    record = {
-        "weights": estimator.card.name,
-        "runtime": estimator.networks.runtime,
-        "processor": processor(),
-        "cores": usable_cores(),
-        "picture": f"{width}x{height}",
+    record = _about(estimator, pictures[0][0]) | {
         "frames": args.count,
         "frames_per_second": round(1e3 * args.count / float(times_ms["total"].sum()), 2),
         "ms": {name: summary(values) for name, values in times_ms.items()},
@@ -78,6 +86,45 @@ def run(args: BenchArgs) -> int:
     else:
         print_table(record)
     return 0
+
+
+def _run_clip(args: BenchArgs, clip: Path) -> int:
+    """Of a clip."""
+    if args.input is not None:
+        raise InputError(f"give a picture ({args.input}) or --video, not both")
+    with VideoFrames(clip) as frames:
+        first = next(iter(frames), None)
+    if first is None:
+        raise InputError(f"{clip}: not one frame can be decoded")
+    estimator = HandEstimator.from_preset(args.weights, args.threads)
+    with ExitStack() as stack:
+        peer = open_peer(args.peer_python, args.mediapipe_model)
+        if peer is not None:
+            stack.enter_context(peer)
+        record = _about(estimator, first.image) | clip_record(measure_clip(clip, estimator, args.count, peer))
+        if peer is not None:
+            record["mediapipe"]["name"] = f"MediaPipe Hands {peer.version}"
+    if args.json:
+        print(json.dumps(record))
+    else:
+        print(_heading(record))
+        print_clip_table(record)
+    return 0
+
+
+def _about(estimator: HandEstimator, image: np.ndarray) -> dict[str, Any]:
+    """What was measured, and where."""
+    return {
+        "weights": estimator.card.name,
+        "runtime": estimator.networks.runtime,
+        "processor": processor(),
+        "cores": usable_cores(),
+        "picture": f"{image.shape[1]}x{image.shape[0]}",
+    }
+
+
+def _heading(record: dict[str, Any]) -> str:
+    return f"weights {record['weights']}, {record['runtime']}; {record['processor']}, cores: {record['cores']}"
 
 
 def measure(
@@ -128,7 +175,7 @@ def print_table(record: dict[str, Any]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    print(f"weights {record['weights']}, {record['runtime']}; {record['processor']}, cores: {record['cores']}")
+    print(_heading(record))
     print(f"{record['frames']} frames of {record['picture']}, both hands in each")
     table = Table()
     table.add_column("stage", no_wrap=True)

@@ -19,6 +19,7 @@ from twohands.cli.output import check_output_folder
 from twohands.errors import InputError
 from twohands.inference.background import Behind, ahead
 from twohands.inference.clip_files import CSV, JSONL, NPZ, ClipFiles
+from twohands.inference.following import Trail
 from twohands.inference.frames import CameraFrames, Frame, VideoFrames
 from twohands.inference.look_ahead import LookAhead
 from twohands.inference.video import VideoEstimator
@@ -68,13 +69,26 @@ class ClipJob:
 
 
 @dataclass
-class _Counts:
-    """What has happened so far."""
+class Tally:
+    """What has happened in a clip so far.
+
+    Attributes:
+        frames: that were estimated.
+        skipped: that could not be used with the camera, and
+        reason: of the first of them.
+        found: frames in which the left and the right hand were found.
+        side_changes: how often a hand has taken the other side.
+        rested: frames in which HandSegNet has rested.
+        seconds: since the beginning.
+    """
 
     frames: int = 0
     skipped: int = 0
     reason: str = ""
     found: list[int] = field(default_factory=lambda: [0, 0])
+    side_changes: int = 0
+    rested: int = 0
+    seconds: float = 0.0
 
 
 def track_clip(job: ClipJob, frames: VideoFrames | CameraFrames, estimate: Estimate) -> int:
@@ -88,8 +102,13 @@ def track_clip(job: ClipJob, frames: VideoFrames | CameraFrames, estimate: Estim
     Returns:
         0, or 1 where no frame could be decoded or used.
     """
+    return _report(job, frames, write_clip(job, frames, estimate))
+
+
+def write_clip(job: ClipJob, frames: VideoFrames | CameraFrames, estimate: Estimate) -> Tally:
+    """Tracks a clip: results into files, and with `ClipJob.lines` on standard output; args as `track_clip`."""
     causal = job.smooth and not job.look_ahead_s
-    counts, video = _Counts(), VideoEstimator() if causal else VideoEstimator(None)
+    tally, video = Tally(), VideoEstimator() if causal else VideoEstimator(None)
     smoother = LookAhead(job.look_ahead_s) if job.smooth and job.look_ahead_s else None
     waiting: deque[np.ndarray] = deque()
     started = time.monotonic()
@@ -105,27 +124,28 @@ def track_clip(job: ClipJob, frames: VideoFrames | CameraFrames, estimate: Estim
                 fitted = _camera(job, camera, image)
                 pose = video.update(_estimate(job, estimate, image, fitted, frame))
             except InputError as error:
-                counts.skipped, counts.reason = counts.skipped + 1, counts.reason or f"frame {frame.index}: {error}"
+                tally.skipped, tally.reason = tally.skipped + 1, tally.reason or f"frame {frame.index}: {error}"
                 continue
             if writer is None:
                 camera, writer = fitted, _open_writer(stack, job, fitted, frames.rate)
             waiting.append(image)
             for known in [pose] if smoother is None else smoother.push(pose):
                 writer.put((waiting.popleft(), replace(known, masks=None)))
-            counts.frames += 1
+            tally.frames += 1
             for side, hand in enumerate(pose.hands):
-                counts.found[side] += hand.present
-            progress(counts.frames)
+                tally.found[side] += hand.present
+            progress(tally.frames)
         if smoother is not None and writer is not None:
             for known in smoother.finish():
                 writer.put((waiting.popleft(), replace(known, masks=None)))
-    return _report(job, frames, counts, video, time.monotonic() - started)
+    tally.side_changes, tally.rested, tally.seconds = video.side_changes, video.rested, time.monotonic() - started
+    return tally
 
 
 def _estimate(
     job: ClipJob, estimate: Estimate, image: np.ndarray, camera: PinholeCamera, frame: Frame
-) -> Callable[[TwoHandPose | None], TwoHandPose]:
-    def run(previous: TwoHandPose | None) -> TwoHandPose:
+) -> Callable[[Trail | None], TwoHandPose]:
+    def run(previous: Trail | None) -> TwoHandPose:
         return estimate(image, camera, job.hand_length_m, index=frame.index, time_s=frame.time_s, previous=previous)
 
     return run
@@ -199,22 +219,20 @@ def _progress(frames: VideoFrames | CameraFrames) -> Callable[[int], None]:
     return say
 
 
-def _report(
-    job: ClipJob, frames: VideoFrames | CameraFrames, counts: _Counts, video: VideoEstimator, seconds: float
-) -> int:
+def _report(job: ClipJob, frames: VideoFrames | CameraFrames, tally: Tally) -> int:
     if sys.stderr.isatty():
         print(file=sys.stderr)
-    if counts.skipped:
-        say(f"{counts.skipped} frames skipped, the first: {counts.reason}")
+    if tally.skipped:
+        say(f"{tally.skipped} frames skipped, the first: {tally.reason}")
     if frames.unreadable:
         say(f"{frames.unreadable} of {frames.decoded + frames.unreadable} frames unreadable")
-    if not counts.frames:
+    if not tally.frames:
         say(f"{job.source}: not one frame could be used")
         return EXIT_NOTHING_DECODED
     if not job.lines:
-        hands = ", ".join(f"{side} in {count}" for side, count in zip(SIDES, counts.found, strict=True))
-        print(f"{counts.frames} frames, {counts.frames / max(seconds, 1e-9):.1f} a second; hands: {hands}; "
-              f"side changes: {video.side_changes}")  # fmt: skip
+        hands = ", ".join(f"{side} in {count}" for side, count in zip(SIDES, tally.found, strict=True))
+        print(f"{tally.frames} frames, {tally.frames / max(tally.seconds, 1e-9):.1f} a second; hands: {hands}; "
+              f"side changes: {tally.side_changes}; segmentation rested in {tally.rested}")  # fmt: skip
         names = [JSONL, NPZ, CSV, REPORT] + [OVERLAY] * job.overlay
         print(f"written to {job.out}: {', '.join(names)}")
     return 0

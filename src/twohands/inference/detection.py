@@ -36,11 +36,13 @@ class Detection(NamedTuple):
         masks: (H, W) uint8, as `masks_from_logits` gives them.
         boxes: of hands, or of candidates.
         keypoints: of those that are present, in the order LEFT, RIGHT.
+        side_logits: (2,) log-odds that a hand is of its side and not of the other; None where nobody has said.
     """
 
     masks: np.ndarray
     boxes: HandBoxes
     keypoints: Keypoints
+    side_logits: np.ndarray | None = None
 
 
 class CandidateViews(NamedTuple):
@@ -128,7 +130,7 @@ class HandFinder:
             second = self.stages.keypoints(self.crops(found.masks, boxes.boxes_px, sides[again]))
             keypoints = keypoints.replaced(np.flatnonzero(again), second)
             boxes = joint_boxed(found.boxes, keypoints, self.image.shape[:2], self.card)
-        return Detection(found.masks, boxes, keypoints)
+        return found._replace(boxes=boxes, keypoints=keypoints)
 
     def last_look(self, found: Detection, assignment: Assignment) -> LastLook:
         """What is known of an assignment's hands after the last view of them."""
@@ -149,7 +151,8 @@ class HandFinder:
         if kept[sides].all():
             return found
         source = np.where(kept, [LEFT, RIGHT], -1)
-        return Detection(*self._answered(found, source, scores), found.keypoints.rows(np.flatnonzero(kept[sides])))
+        masks, boxes = self._answered(found, source, scores)
+        return Detection(masks, boxes, found.keypoints.rows(np.flatnonzero(kept[sides])), found.side_logits)
 
     def _merged(self, found: Detection) -> Keypoints:
         """Both candidates as one hand, LEFT and RIGHT."""

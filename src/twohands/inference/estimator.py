@@ -14,9 +14,12 @@ import numpy as np
 from twohands.geometry.segmentation import HandBoxes, certain_masks, parted_masks
 from twohands.inference.detection import Detection, HandFinder, joint_boxed
 from twohands.inference.engine import Networks, load_networks
-from twohands.inference.handedness import Before, assign_handedness
+from twohands.inference.following import Trail, expected_joints, followed_assignment, followed_boxes, moved_masks
+from twohands.inference.handedness import Before
 from twohands.inference.keypoints import given_heatmaps
 from twohands.inference.placement import hand_poses, refine
+from twohands.inference.side_decision import assign_in_clip
+from twohands.inference.side_keeping import NOTHING_KNOWN
 from twohands.inference.stages import NO_TRUTH, Stages, StageTruth, check_picture
 from twohands.inference.views import with_rolled_views
 from twohands.inference.weights import DEFAULT_PRESET, WeightsCard, preset_folder, read_card
@@ -60,7 +63,7 @@ class HandEstimator:
         *,
         index: int = 0,
         time_s: float | None = None,
-        previous: TwoHandPose | None = None,
+        previous: TwoHandPose | Trail | None = None,
     ) -> TwoHandPose:
         """Estimate both hands.
 
@@ -71,25 +74,57 @@ class HandEstimator:
                 with it.
             truth: ground truth that replaces stages.
             index, time_s: position in the source, handed through.
-            previous: of a video, what was found one frame before: hands seldom come or go, or turn into the other one.
-                It counts as much as the card's fitted decision says.
+            previous: of a video, what was found one frame before, or all that the clip has shown: hands seldom come or
+                go, or turn into the other one. Where HandSegNet may rest (`Trail.may_rest`) they are looked for where
+                they should be, first.
 
         Returns:
-            Both hands; an absent hand has `present` False.
+            Both hands; an absent hand has `present` False. Of hands that were followed there are no masks.
 
         Raises:
             InputError: image, camera and hand length do not fit together.
         """
         check_picture(image, camera, hand_length_m)
-        before = None if previous is None else Before.of(previous)
+        trail = Trail.of(previous) if isinstance(previous, TwoHandPose) else previous
+        if trail is not None and trail.may_rest and self.card.decides and truth.replaces_nothing:
+            followed = self.follow(image, camera, hand_length_m, trail, index=index, time_s=time_s)
+            if followed is not None:
+                return followed
         masks, boxes = self.segment(image, truth)
         left, right = HandPose(present=False), HandPose(present=False)
         if boxes.present.any():
-            found = self.find_hands(image, masks, boxes, camera, truth, before)
+            found = self.find_hands(image, masks, boxes, camera, truth, trail)
             masks = found.masks
             if found.boxes.present.any():
                 left, right = self.place_hands(image, found, camera, hand_length_m, truth)
         return TwoHandPose(left, right, camera, certain_masks(masks), index, time_s)
+
+    def follow(
+        self,
+        image: np.ndarray,
+        camera: PinholeCamera,
+        hand_length_m: float | np.ndarray,
+        trail: Trail,
+        *,
+        index: int,
+        time_s: float | None,
+    ) -> TwoHandPose | None:
+        """Stages 2 to 5 of the hands of the last frame, where they should be now; None where HandSegNet is to look."""
+        size = image.shape[0], image.shape[1]
+        expected_px = expected_joints(trail, index if time_s is None else time_s)
+        boxes = followed_boxes(trail, expected_px, size, self.card)
+        if boxes is None:
+            return None
+        finder = HandFinder(self.stages, self.card, image, camera, keep_masks=True)
+        masks = moved_masks(trail, expected_px)
+        crops = finder.crops(masks, boxes.boxes_px, np.flatnonzero(boxes.present))
+        found = finder.recropped(Detection(masks, boxes, self.stages.keypoints(crops)))
+        found = finder.rescored(found, followed_assignment(trail, boxes.present))
+        doubtful = found.boxes.scores < self.card.decision.followed_score
+        if (boxes.present & (doubtful | ~found.boxes.present)).any():
+            return None
+        left, right = self.place_hands(image, found, camera, hand_length_m)
+        return TwoHandPose(left, right, camera, None, index, time_s, followed=True)
 
     def segment(self, image: np.ndarray, truth: StageTruth = NO_TRUTH) -> tuple[np.ndarray, HandBoxes]:
         """Stage 1: masks (H, W), and boxes of the candidates."""
@@ -109,7 +144,7 @@ class HandEstimator:
         boxes: HandBoxes,
         camera: PinholeCamera,
         truth: StageTruth = NO_TRUTH,
-        before: Before | None = None,
+        trail: Trail | None = None,
     ) -> Detection:
         """Stages 2 and 3: keypoints of every candidate, whose hands they are, and a second crop where it helps. True
         boxes, maps or joints need one crop; a true `present` needs no decision."""
@@ -122,9 +157,11 @@ class HandEstimator:
             return found
         if truth.present is not None or not self.card.decides:
             return finder.recropped(found)
-        evidence, views = finder.evidence(found, before)
-        assignment = assign_handedness(evidence, self.card.decision)
+        evidence, views = finder.evidence(found, None if trail is None else Before.of(trail.last[-1]))
+        known = NOTHING_KNOWN if trail is None else trail.sides
+        assignment, side_logits = assign_in_clip(evidence, self.card.decision, known)
         assigned, changed = finder.assigned(found, assignment, views)
+        assigned = assigned._replace(side_logits=side_logits)
         return finder.rescored(finder.recropped(assigned, changed), assignment)
 
     def place_hands(
@@ -148,4 +185,4 @@ class HandEstimator:
         placed = self.stages.place(canonical, keypoints.joints_px, keypoints.joint_scores, camera, lengths_m)
         if estimated:
             canonical, placed = refine(self.card.placement, canonical, keypoints, camera, lengths_m, placed)
-        return hand_poses(boxes, keypoints, canonical, placed)
+        return hand_poses(boxes, keypoints, canonical, placed, found.side_logits)

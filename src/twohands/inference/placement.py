@@ -120,9 +120,14 @@ def posterior_ranges(radius_m: np.ndarray, joint_scores: np.ndarray, config: Pla
 
 
 def hand_poses(
-    boxes: HandBoxes, keypoints: Keypoints, canonical: np.ndarray, placed: GlobalPose
+    boxes: HandBoxes,
+    keypoints: Keypoints,
+    canonical: np.ndarray,
+    placed: GlobalPose,
+    side_logits: np.ndarray | None = None,
 ) -> tuple[HandPose, HandPose]:
-    """Everything known about the hands LEFT and RIGHT of a picture, from batches of those that are there."""
+    """Everything known about the hands LEFT and RIGHT of a picture, from batches of those that are there, and of their
+    sides from (2,) log-odds."""
     hands = [HandPose(present=False), HandPose(present=False)]
     for i, side in enumerate(keypoints.sides):
         valid = bool(placed.valid[i])
@@ -140,6 +145,7 @@ def hand_poses(
             key_bone=KEY_BONE_NAMES[int(placed.key_bone[i])],
             method=METHOD,
             valid=valid,
+            side_logit=None if side_logits is None else float(side_logits[side]),
         )
     warn([doubt for hand in hands if hand.range_m is not None for doubt in range_doubts(hand.range_m)], stacklevel=4)
     return hands[0], hands[1]

@@ -7,7 +7,7 @@ nobody changes an estimator that exists.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 
 import numpy as np
@@ -42,6 +42,11 @@ class StageTruth:
     joints_px: np.ndarray | None = None
     heatmaps: np.ndarray | None = None
     canonical: np.ndarray | None = None
+
+    @property
+    def replaces_nothing(self) -> bool:
+        """Whether all stages are left alone."""
+        return all(getattr(self, known.name) is None for known in fields(self))
 
     def hand_boxes(self) -> HandBoxes | None:
         """The known boxes; a hand is present where its box is finite, unless `present` denies it. None for no boxes."""

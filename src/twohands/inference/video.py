@@ -1,32 +1,37 @@
 """Both hands over a video: what every frame's estimate becomes by those around it.
 
-The estimator of single pictures is told what was found one frame before (`previous`); hands keep their sides
-(`side_keeping`), their ranges are smoothed and leaving hands carried on (`tracker`). `track`, `eval --smooth` and a
-live view do this alike, by this class.
+The estimator of single pictures is told what the clip has shown so far (`following.Trail`): what was found one frame
+before, where hands will be, of which side they are. Ranges are smoothed and leaving hands carried on (`tracker`).
+`track`, `eval --smooth` and a live view do this alike, by this class.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
+from twohands.inference.following import REST_FRAMES, Trail
 from twohands.inference.leaving import CARRIED_FRAMES
 from twohands.inference.side_keeping import SideKeeper
 from twohands.inference.tracker import DEFAULT_SMOOTHING, HandTracker, RangeSmoothing
 from twohands.types import TwoHandPose
 
-Estimate = Callable[[TwoHandPose | None], TwoHandPose]
-"""Estimates one frame, told the estimate of the frame before; None for the first."""
+Estimate = Callable[[Trail | None], TwoHandPose]
+"""Estimates one frame, told what the clip has shown so far; None for the first."""
 
 
 class VideoEstimator:
     """Takes the estimates of one clip's frames in their order; one instance per clip, or `reset` between clips.
 
-    State: the last estimate, where hands were, the queues of ranges.
+    State: the last estimates, how long HandSegNet has rested, which side hands are of, the queues of ranges.
 
     Args:
         smoothing: of the ranges; None leaves them, and leaving hands, as they are.
         carried_frames: for how many frames a leaving hand is carried on.
-        keep_sides: whether hands keep their sides.
+        rest_frames: for how many frames in a row HandSegNet may rest while both hands are followed; 0 for never.
+
+    Attributes:
+        frames: how many there were, over all clips.
+        rested: in how many of them HandSegNet has rested.
     """
 
     def __init__(
@@ -34,22 +39,25 @@ class VideoEstimator:
         smoothing: RangeSmoothing | None = DEFAULT_SMOOTHING,
         *,
         carried_frames: int = CARRIED_FRAMES,
-        keep_sides: bool = True,
+        rest_frames: int = REST_FRAMES,
     ) -> None:
         self._tracker = None if smoothing is None else HandTracker(smoothing, carried_frames)
-        self._sides = SideKeeper() if keep_sides else None
-        self._previous: TwoHandPose | None = None
+        self._rest_frames = rest_frames
+        self._sides = SideKeeper()
+        self.frames = self.rested = 0
+        self.reset()
 
     @property
     def side_changes(self) -> int:
-        """How often hands have changed their sides, over all clips."""
-        return 0 if self._sides is None else self._sides.changes
+        """How often a hand has taken the other side, over all clips."""
+        return self._sides.changes
 
     def reset(self) -> None:
         """Forget everything about the clip."""
-        self._previous = None
-        if self._sides is not None:
-            self._sides.reset()
+        self._last: tuple[TwoHandPose, ...] = ()
+        self._seen: TwoHandPose | None = None
+        self._resting = 0
+        self._sides.reset()
         if self._tracker is not None:
             self._tracker.reset()
 
@@ -66,8 +74,17 @@ class VideoEstimator:
             InputError: of the estimate, or the frame does not follow the last one; the frame is then as if it had not
                 come.
         """
-        pose = estimate(self._previous)
-        kept = pose if self._sides is None else self._sides.update(pose)
-        smooth = kept if self._tracker is None else self._tracker.update(kept)
-        self._previous = kept
+        pose = self._sides.kept(estimate(self._trail()))
+        smooth = pose if self._tracker is None else self._tracker.update(pose)
+        self._sides.remember(pose)
+        self._last = (*self._last[-1:], pose)
+        self._resting = self._resting + 1 if pose.followed else 0
+        self._seen = self._seen if pose.followed else pose
+        self.frames, self.rested = self.frames + 1, self.rested + pose.followed
         return smooth
+
+    def _trail(self) -> Trail | None:
+        if self._seen is None:
+            return None
+        both = all(hand.present for hand in self._last[-1].hands)
+        return Trail(self._last, self._seen, both and self._resting < self._rest_frames, self._sides.memory)

@@ -7,6 +7,7 @@ from types import TracebackType
 
 import numpy as np
 
+from twohands.inference.following import Trail
 from twohands.lifting.foreign import ForeignFrame, ForeignHand, ForeignHands
 from twohands.lifting.placing import place_hands
 from twohands.peers.base import by_own_handedness
@@ -50,7 +51,7 @@ class MediaPipeEstimator:
         *,
         index: int = 0,
         time_s: float | None = None,
-        previous: TwoHandPose | None = None,
+        previous: TwoHandPose | Trail | None = None,
     ) -> TwoHandPose:
         """Both hands of one picture.
 

@@ -19,6 +19,7 @@ from twohands.geometry.canonical import canonical_from_camera
 from twohands.geometry.heatmaps import encode_heatmaps
 from twohands.geometry.part_labels import hand_classes
 from twohands.inference.estimator import HandEstimator
+from twohands.inference.following import Trail
 from twohands.inference.stages import StageTruth
 from twohands.types import HandSample, TwoHandPose
 
@@ -111,8 +112,8 @@ class TruthfulEstimator:
         self.stages = stages
         self._targets = targets or HeatmapTargets()
 
-    def __call__(self, sample: HandSample, previous: TwoHandPose | None = None) -> TwoHandPose:
-        """Estimates one sample; `previous` is what was said of the frame before it, see `HandEstimator.estimate`.
+    def __call__(self, sample: HandSample, previous: TwoHandPose | Trail | None = None, index: int = 0) -> TwoHandPose:
+        """Estimates one sample; `previous` and `index` as for `HandEstimator.estimate`.
 
         Raises:
             InputError: as `stage_truth`.
@@ -120,7 +121,8 @@ class TruthfulEstimator:
         truth = stage_truth(sample, self.stages)
         if "heatmaps" in self.stages:
             truth = replace(truth, heatmaps=self._true_heatmaps(sample, truth))
-        return self.estimator.estimate(sample.image, sample.camera, hand_lengths_m(sample), truth, previous=previous)
+        length_m = hand_lengths_m(sample)
+        return self.estimator.estimate(sample.image, sample.camera, length_m, truth, index=index, previous=previous)
 
     def _true_heatmaps(self, sample: HandSample, truth: StageTruth) -> np.ndarray | None:
         """(2, 21, M, M) maps of the crops that the pipeline cuts from the true boxes; zeros for an absent hand."""

@@ -16,6 +16,7 @@ from twohands.datasets.opening import OpenedDataset
 from twohands.errors import InputError
 from twohands.evaluation.predictions import Predictions, predict
 from twohands.inference.estimator import HandEstimator
+from twohands.inference.following import Trail
 from twohands.inference.leaving import CARRIED_FRAMES
 from twohands.inference.video import VideoEstimator
 from twohands.inference.weights import DEFAULT_PRESET, preset_folder, weights_id
@@ -36,6 +37,9 @@ class System:
     smooth: bool = False
     """Take the frames of each folder as video: hands that were there a frame before are remembered (not a peer's), and
     ranges are smoothed and leaving hands carried on."""
+    rest_frames: int = 0
+    """With --smooth: for so many frames in a row HandSegNet rests while both hands are followed, as `track` does it;
+    these frames have no masks."""
     peer: Literal["mediapipe"] | None = None
     """Measure another system instead of ours."""
     peer_python: Path | None = None
@@ -73,8 +77,8 @@ def predict_with(dataset: OpenedDataset, system: System, count: int | None) -> P
             )
             name, settings = peer.name, peer.settings
 
-            def estimate(sample: HandSample, previous: TwoHandPose | None = None) -> TwoHandPose:
-                return peer(sample)
+            def estimate(sample: HandSample, previous: Trail | None = None, index: int = 0) -> TwoHandPose:
+                return replace(peer(sample), index=index)
 
         else:
             estimator = HandEstimator.from_preset(system.weights)
@@ -83,8 +87,9 @@ def predict_with(dataset: OpenedDataset, system: System, count: int | None) -> P
             name = weights_id(preset_folder(system.weights), estimator.card)
             settings = _settings(estimator, system)
         if system.smooth:
-            settings = settings | {"smoothed": True, "carried_frames": CARRIED_FRAMES}
-        system_under_test = _Video(estimate) if system.smooth else estimate
+            rests = {"rest_frames": system.rest_frames}
+            settings = settings | {"smoothed": True, "carried_frames": CARRIED_FRAMES} | rests
+        system_under_test = _Video(estimate, system.rest_frames) if system.smooth else estimate
         predictions = predict(samples, system_under_test, dataset=dataset.samples.name, weights=name, settings=settings)
     return replace(predictions, command=this_command())
 
@@ -102,9 +107,9 @@ class _Video:
     """An estimator over the frames of folders, each a clip of its own: told what it said of the frame before, with
     smooth ranges, leaving hands carried on, and sides that hands keep (`inference.video`)."""
 
-    def __init__(self, estimate: Callable[[HandSample, TwoHandPose | None], TwoHandPose]) -> None:
+    def __init__(self, estimate: Callable[[HandSample, Trail | None, int], TwoHandPose], rest_frames: int) -> None:
         self._estimate = estimate
-        self._video = VideoEstimator()
+        self._video = VideoEstimator(rest_frames=rest_frames)
         self._folder: str | None = None
         self._frame = 0
 
@@ -113,6 +118,6 @@ class _Video:
         if folder != self._folder:
             self._video.reset()
             self._folder, self._frame = folder, 0
-        pose = self._video.update(lambda previous: replace(self._estimate(sample, previous), index=self._frame))
+        pose = self._video.update(lambda previous: self._estimate(sample, previous, self._frame))
         self._frame += 1
         return pose

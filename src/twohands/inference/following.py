@@ -1,0 +1,141 @@
+"""Hands of a video followed from frame to frame without HandSegNet: where they will be, and what to look for there.
+
+Ours; the paper's networks see every frame alone. Where a hand will be follows from its last joints and their velocity.
+PoseNet2D looks there; the card's last decision says whether it is still the hand.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+
+from twohands.geometry.boxes import box_iou
+from twohands.geometry.segmentation import HandBoxes, log_odds
+from twohands.inference.handedness import Assignment
+from twohands.inference.keypoints import in_sight, joint_boxes
+from twohands.inference.leaving import LONGEST_STEP
+from twohands.inference.side_keeping import NOTHING_KNOWN, SideMemory
+from twohands.inference.weights import WeightsCard
+from twohands.skeleton import LEFT, N_JOINTS, RIGHT
+from twohands.types import HandPose, TwoHandPose
+
+REST_FRAMES: Final = 4
+"""For so many frames in a row HandSegNet may rest."""
+_COARSE: Final = 4
+"""Masks of followed hands have a cell for so many pixels a side."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trail:
+    """What a clip has shown so far.
+
+    Attributes:
+        last: its last frames, newest last, one or two.
+        seen: the last frame that HandSegNet saw.
+        may_rest: whether HandSegNet may rest in the frame that comes.
+        sides: what is known of the hands' sides.
+    """
+
+    last: tuple[TwoHandPose, ...]
+    seen: TwoHandPose
+    may_rest: bool = False
+    sides: SideMemory = NOTHING_KNOWN
+
+    @classmethod
+    def of(cls, pose: TwoHandPose) -> Trail:
+        """Of a clip of which one frame is known."""
+        return cls((pose,), pose)
+
+
+def expected_joints(trail: Trail, time: float) -> np.ndarray:
+    """Where the hands will be if they move on as they did, without changing their pose.
+
+    Args:
+        trail: of the clip.
+        time: of the frame that comes, on the clip's clock: `TwoHandPose.time_s`, or `index` where that is None.
+
+    Returns:
+        (2, 21, 2) pixels; NaN for a hand that was not there in the last frame, and of both after a pause.
+    """
+    newest = trail.last[-1]
+    joints_px = np.array([_joints(hand) for hand in newest.hands])
+    if len(trail.last) < 2:
+        return joints_px
+    step, passed = _clock(newest) - _clock(trail.last[-2]), time - _clock(newest)
+    if not 0 < passed <= LONGEST_STEP * step:
+        return np.full_like(joints_px, np.nan)
+    moved = joints_px - np.array([_joints(hand) for hand in trail.last[-2].hands])
+    return joints_px + np.nan_to_num(moved.mean(axis=1, keepdims=True)) * (passed / step)
+
+
+def followed_boxes(
+    trail: Trail, expected_px: np.ndarray, image_size: tuple[int, int], card: WeightsCard
+) -> HandBoxes | None:
+    """Where to look for the hands, with the scores that they had when HandSegNet saw them.
+
+    Args:
+        trail: of the clip.
+        expected_px: (2, 21, 2) `expected_joints`.
+        image_size: (H, W) of the picture.
+        card: of the weights.
+
+    Returns:
+        None where there is no hand, one leaves the picture, or two are in one place.
+    """
+    smallest_px = card.views.smallest_box_px
+    present = np.isfinite(expected_px).all(axis=(1, 2))
+    if not present.any() or not in_sight(expected_px[present], image_size, smallest_px).all():
+        return None
+    boxes_px = np.full((2, 4), np.nan)
+    boxes_px[present] = joint_boxes(expected_px[present], image_size, boxes_px[present], smallest_px)
+    if present.all() and box_iou(*boxes_px) >= card.decision.same_place_iou:
+        return None
+    return HandBoxes(boxes_px, present, _scores(trail))
+
+
+def followed_assignment(trail: Trail, present: np.ndarray) -> Assignment:
+    """Every hand of those that are followed, (2,) bool, is itself, as surely as when HandSegNet saw it."""
+    source = np.where(present, [LEFT, RIGHT], -1)
+    return Assignment(source, np.where(present, log_odds(_scores(trail)), np.nan))
+
+
+def moved_masks(trail: Trail, expected_px: np.ndarray) -> np.ndarray:
+    """What HandSegNet saw last, moved with the hands, and a cell wider all round, as fingers move as well.
+
+    Args:
+        trail: of the clip.
+        expected_px: (2, 21, 2) `expected_joints`.
+
+    Returns:
+        (h, w) uint8 masks of the picture, 0 background, 1 left, 2 right, coarser than it; all background where nothing
+        was seen.
+    """
+    if trail.seen.masks is None:
+        return np.zeros((1, 1), np.uint8)
+    before = np.ascontiguousarray(trail.seen.masks[::_COARSE, ::_COARSE])
+    size = before.shape[1], before.shape[0]
+    masks = np.zeros_like(before)
+    for side, hand in enumerate(trail.seen.hands):
+        shift = (expected_px[side] - _joints(hand)).mean(axis=0) / _COARSE
+        if np.isfinite(shift).all():
+            wide = cv2.dilate((before == 1 + side).astype(np.uint8), np.ones((3, 3), np.uint8))
+            place = np.array([[1, 0, shift[0]], [0, 1, shift[1]]], np.float64)
+            masks[cv2.warpAffine(wide, place, size, flags=cv2.INTER_NEAREST) > 0] = 1 + side
+    return masks
+
+
+def _scores(trail: Trail) -> np.ndarray:
+    """(2,) of the hands as HandSegNet saw them; even chances where there is none."""
+    return np.array([0.5 if hand.score is None else hand.score for hand in trail.seen.hands])
+
+
+def _clock(pose: TwoHandPose) -> float:
+    return float(pose.index if pose.time_s is None else pose.time_s)
+
+
+def _joints(hand: HandPose) -> np.ndarray:
+    known = hand.present and hand.joints_px is not None
+    return np.asarray(hand.joints_px, np.float64) if known else np.full((N_JOINTS, 2), np.nan)

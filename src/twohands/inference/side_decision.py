@@ -1,0 +1,60 @@
+"""Which candidate is which hand, in a clip: what this picture says, and what is known of the sides of hands that were
+in these places (`inference.side_keeping`)."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from twohands.geometry.segmentation import log_odds
+from twohands.inference.decision import FIRST_FEATURES, DecisionConfig
+from twohands.inference.handedness import (
+    ANSWERS,
+    Assignment,
+    Evidence,
+    answer_scores,
+    first_features,
+    probabilities,
+    weight_vector,
+)
+from twohands.inference.side_keeping import SIGNS, SideMemory
+from twohands.skeleton import LEFT, RIGHT
+
+_BEFORE: Final = [FIRST_FEATURES.index(name) for name in ("was_present", "held", "held_other")]
+_SOURCES: Final = np.array(ANSWERS)
+
+
+def assign_in_clip(evidence: Evidence, config: DecisionConfig, memory: SideMemory) -> tuple[Assignment, np.ndarray]:
+    """As `handedness.assign_handedness`, where every hand of an answer has the chance besides that a hand in this place
+    is of that side.
+
+    Returns:
+        The assignment, and (2,) log-odds that its hands are of their sides and not of the other, as this picture alone
+        says; NaN for an absent one.
+    """
+    features, weights = first_features(evidence), weight_vector(config.first, FIRST_FEATURES)
+    scores = answer_scores(features, weights) + _side_scores(memory.left_logits(evidence.boxes_px))
+    chances = probabilities(scores)
+    best = _SOURCES[int(np.argmax(scores + config.lenience * (_SOURCES >= 0).sum(axis=1)))]
+    logits = log_odds(np.array([chances[_SOURCES[:, side] == best[side]].sum() for side in (LEFT, RIGHT)]))
+    weights[_BEFORE] = 0.0
+    said = left_logits(probabilities(answer_scores(features, weights)))
+    sides = np.array([SIGNS[side] * said[best[side]] if best[side] >= 0 else np.nan for side in (LEFT, RIGHT)])
+    return Assignment(best, np.where(best >= 0, logits, np.nan)), sides
+
+
+def left_logits(chances: np.ndarray) -> np.ndarray:
+    """(2,) log-odds that each candidate, if it is a hand, is the left one, from the answers' chances (7,)."""
+    left, right = (
+        np.array([chances[_SOURCES[:, side] == candidate].sum() for candidate in range(2)]) for side in (LEFT, RIGHT)
+    )
+    return np.log((left + 1e-6) / (right + 1e-6))
+
+
+def _side_scores(known: np.ndarray) -> np.ndarray:
+    """(7,) what the answers gain by what is known, (2,) log-odds of either candidate's being the left hand: 0 where
+    nothing is."""
+    gains = np.array([np.log(2.0) - np.logaddexp(0.0, -sign * known) for sign in SIGNS])  # (side, candidate)
+    taken = [[gains[side, source] if source >= 0 else 0.0 for side, source in enumerate(answer)] for answer in ANSWERS]
+    return np.array(taken).sum(axis=1)

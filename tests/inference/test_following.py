@@ -1,0 +1,130 @@
+"""Hands followed without HandSegNet: where they should be, what is asked of the networks, and when it is not enough."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.oracles import Oracle, drawn_hands, make_card, restaged
+
+from twohands.inference.following import Trail, expected_joints, followed_boxes, moved_masks
+from twohands.types import HandPose, TwoHandPose
+
+SAMPLE = drawn_hands(1)
+CARD = make_card(hand_logit=True)
+SIZE = SAMPLE.image.shape[:2]
+LENGTH_M = 0.1
+
+
+def pose_at(index: int, shift=(0.0, 0.0), present=(True, True), time_s: float | None = None) -> TwoHandPose:
+    """The true joints, moved by `shift` pixels."""
+    left, right = (
+        HandPose(True, 0.9, joints_px=SAMPLE.joints_px[side] + shift) if present[side] else HandPose(present=False)
+        for side in range(2)
+    )
+    return TwoHandPose(left, right, SAMPLE.camera, None, index, time_s)
+
+
+def trail_of(*poses: TwoHandPose) -> Trail:
+    return Trail(poses[-2:], poses[-1], may_rest=True)
+
+
+class Follower:
+    """An estimator whose networks know the answer; `looks` counts HandSegNet's pictures."""
+
+    def __init__(self, sample=SAMPLE, seen_logit: float = 4.0, blind: bool = False) -> None:
+        oracle = Oracle(sample, CARD)
+        self.looks = 0
+
+        def look(image):
+            self.looks += 1
+            return oracle.estimator.stages.hand_maps(image)
+
+        def locate(crops):
+            maps = oracle.true_maps(crops)
+            return np.zeros_like(maps) if blind and not self.looks else maps, np.full(len(crops), seen_logit)
+
+        self.estimator = restaged(
+            oracle.estimator,
+            hand_maps=look,
+            locate=locate,
+            lift=lambda keypoints: oracle.canonical[keypoints.sides],
+        )
+
+    def estimate(self, trail: Trail | None, index: int = 1) -> TwoHandPose:
+        return self.estimator.estimate(SAMPLE.image, SAMPLE.camera, LENGTH_M, index=index, previous=trail)
+
+
+def test_hands_move_on_as_they_did():
+    moving = trail_of(pose_at(0), pose_at(1, (3.0, -2.0)))
+    np.testing.assert_allclose(expected_joints(moving, 2), SAMPLE.joints_px + np.array([6.0, -4.0]))
+    np.testing.assert_allclose(expected_joints(trail_of(pose_at(0)), 1), SAMPLE.joints_px)
+    timed = trail_of(pose_at(0, time_s=0.0), pose_at(1, (3.0, -2.0), time_s=0.1))
+    np.testing.assert_allclose(expected_joints(timed, 0.15), SAMPLE.joints_px + np.array([4.5, -3.0]))
+
+
+def test_nothing_is_expected_after_a_pause_or_of_a_hand_that_was_not_there():
+    moving = trail_of(pose_at(0), pose_at(1, (3.0, -2.0)))
+    assert np.isnan(expected_joints(moving, 3)).all()
+    coming = trail_of(pose_at(0, present=(False, False)), pose_at(1, (9.0, 9.0), present=(True, False)))
+    expected = expected_joints(coming, 2)
+    np.testing.assert_allclose(expected[0], SAMPLE.joints_px[0] + 9.0)
+    assert np.isnan(expected[1]).all()
+
+
+def test_a_hand_that_leaves_and_hands_in_one_place_are_not_followed():
+    trail = trail_of(pose_at(0))
+    boxes = followed_boxes(trail, SAMPLE.joints_px, SIZE, CARD)
+    assert boxes is not None and boxes.present.all()
+    np.testing.assert_allclose(boxes.scores, 0.9)
+    gone = SAMPLE.joints_px - [[[0, 0]], [[0, 10 * SIZE[0]]]]
+    assert followed_boxes(trail, gone, SIZE, CARD) is None
+    assert followed_boxes(trail, np.stack([SAMPLE.joints_px[0]] * 2), SIZE, CARD) is None
+    assert followed_boxes(trail, np.full((2, 21, 2), np.nan), SIZE, CARD) is None
+
+
+def test_masks_go_with_the_hands():
+    masks = np.zeros((80, 80), np.uint8)
+    masks[20:40, 20:40], masks[60:72, 4:16] = 1, 2
+    joints_px = np.stack([np.full((21, 2), 30.0), np.full((21, 2), 66.0)])
+    left, right = (HandPose(True, 0.9, joints_px=joints) for joints in joints_px)
+    seen = TwoHandPose(left, right, SAMPLE.camera, masks)
+    moved = moved_masks(Trail.of(seen), joints_px + np.array([[[16.0, 8.0]], [[0.0, 0.0]]]))
+    expected = np.zeros((20, 20), np.uint8)
+    expected[6:13, 8:15], expected[14:19, 0:5] = 1, 2  # a cell of four pixels wider all round
+    np.testing.assert_array_equal(moved, expected)
+    assert not moved_masks(Trail.of(replace(seen, masks=None)), joints_px).any()
+
+
+def test_followed_hands_are_found_without_segmentation():
+    follower = Follower()
+    first = follower.estimate(None, 0)
+    assert follower.looks == 1 and not first.followed and first.masks is not None
+    again = follower.estimate(Trail((first,), first, may_rest=True))
+    assert follower.looks == 1 and again.followed and again.masks is None and again.index == 1
+    for side, hand in enumerate(again.hands):
+        np.testing.assert_allclose(hand.joints_px, SAMPLE.joints_px[side], atol=0.1)
+        assert hand.range_m == pytest.approx(first.hands[side].range_m, rel=2e-3)
+        assert hand.score == pytest.approx(first.hands[side].score, abs=0.05)
+
+
+def test_segmentation_looks_where_it_may_not_rest_or_a_hand_is_in_doubt():
+    first = Follower().estimate(None, 0)
+    trail = Trail((first,), first, may_rest=True)
+    awake = Follower()
+    assert not awake.estimate(replace(trail, may_rest=False)).followed and awake.looks == 1
+    blind = Follower(blind=True)
+    assert not blind.estimate(trail).followed and blind.looks == 1
+    alone = Follower()
+    assert not alone.estimate(Trail((first, replace(first, index=1)), first, may_rest=True), 5).followed
+    assert alone.looks == 1, "after a pause"
+
+
+def test_weights_whose_decision_is_not_learnt_never_follow():
+    card = make_card()
+    oracle = Oracle(SAMPLE, card)
+    first = oracle.estimator.estimate(SAMPLE.image, SAMPLE.camera, LENGTH_M)
+    oracle.calls.clear()
+    again = oracle.estimator.estimate(
+        SAMPLE.image, SAMPLE.camera, LENGTH_M, index=1, previous=Trail((first,), first, may_rest=True)
+    )
+    assert not again.followed and oracle.calls[0] == "hand_seg_net"
