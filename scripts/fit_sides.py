@@ -19,6 +19,7 @@ from typing import Final
 
 import numpy as np
 
+from twohands.datasets.base import HandDataset
 from twohands.datasets.opening import open_dataset
 from twohands.errors import InputError, TwoHandsError
 from twohands.inference.estimator import HandEstimator
@@ -61,7 +62,7 @@ def main() -> int:
     return 0
 
 
-def streams_in(estimator: HandEstimator, samples: Sequence[HandSample]) -> list[np.ndarray]:
+def streams_in(estimator: HandEstimator, samples: HandDataset | Sequence[HandSample]) -> list[np.ndarray]:
     """What single frames say of every true hand of every sequence: (N,) log-odds of its true side, of the frames in
     which it was found."""
     streams = []

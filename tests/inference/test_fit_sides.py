@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scripts.fit_sides import added_up, loss, streams_in, true_side_logit
-from tests.oracles import Oracle, drawn_hands, make_card
+from tests.oracles import Oracle, drawn_hands, make_card, restaged
 
 from twohands.inference.side_keeping import KEPT_SHARE, NOTHING_KNOWN, SIGNS, TRUST
 from twohands.types import HandPose, TwoHandPose
@@ -39,7 +39,12 @@ def test_a_hand_that_was_taken_for_the_other_one_counts_against_its_side():
 
 
 def test_streams_of_a_sequence():
-    oracle = Oracle(SAMPLE, make_card())
-    streams = streams_in(oracle.estimator, [SAMPLE] * 3)
+    oracle = Oracle(SAMPLE, make_card(hand_logit=True))
+    estimator = restaged(
+        oracle.estimator,
+        locate=lambda crops: (oracle.true_maps(crops), np.full(len(crops), 4.0)),
+        lift=lambda keypoints: oracle.canonical[keypoints.sides],
+    )
+    streams = streams_in(estimator, [SAMPLE] * 3)
     assert [len(stream) for stream in streams] == [3, 3]
     assert all((stream > 0).all() for stream in streams)

@@ -102,6 +102,7 @@ def test_followed_hands_are_found_without_segmentation():
     again = follower.estimate(Trail((first,), first, may_rest=True))
     assert follower.looks == 1 and again.followed and again.masks is None and again.index == 1
     for side, hand in enumerate(again.hands):
+        assert hand.joints_px is not None
         np.testing.assert_allclose(hand.joints_px, SAMPLE.joints_px[side], atol=0.1)
         assert hand.range_m == pytest.approx(first.hands[side].range_m, rel=2e-3)
         assert hand.score == pytest.approx(first.hands[side].score, abs=0.05)

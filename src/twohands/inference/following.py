@@ -86,7 +86,7 @@ def followed_boxes(
         None where there is no hand, one leaves the picture, or two are in one place.
     """
     smallest_px = card.views.smallest_box_px
-    present = np.isfinite(expected_px).all(axis=(1, 2))
+    present = np.asarray(np.isfinite(expected_px).all(axis=(1, 2)))
     if not present.any() or not in_sight(expected_px[present], image_size, smallest_px).all():
         return None
     boxes_px = np.full((2, 4), np.nan)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from twohands.errors import InputError
 from twohands.inference.following import REST_FRAMES, Trail
 from twohands.inference.leaving import CARRIED_FRAMES
 from twohands.inference.side_keeping import SideKeeper
@@ -32,6 +33,9 @@ class VideoEstimator:
     Attributes:
         frames: how many there were, over all clips.
         rested: in how many of them HandSegNet has rested.
+
+    Raises:
+        InputError: `rest_frames` is negative.
     """
 
     def __init__(
@@ -41,6 +45,8 @@ class VideoEstimator:
         carried_frames: int = CARRIED_FRAMES,
         rest_frames: int = REST_FRAMES,
     ) -> None:
+        if rest_frames < 0:
+            raise InputError(f"rest frames must be 0 or more, got {rest_frames}")
         self._tracker = None if smoothing is None else HandTracker(smoothing, carried_frames)
         self._rest_frames = rest_frames
         self._sides = SideKeeper()

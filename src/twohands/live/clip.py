@@ -10,6 +10,7 @@ import numpy as np
 
 from twohands.errors import InputError
 from twohands.inference.clip_files import frame_line, header_line
+from twohands.inference.following import Trail
 from twohands.inference.video import VideoEstimator
 from twohands.live.messages import Settings
 from twohands.types import PinholeCamera, TwoHandPose
@@ -71,7 +72,7 @@ class LiveClip:
                 f"the size changes from {camera.width}x{camera.height} to {width}x{height}; begin a new clip"
             )
 
-        def run(previous: TwoHandPose | None) -> TwoHandPose:
+        def run(previous: Trail | None) -> TwoHandPose:
             length = settings.hand_length_m
             return self._estimate(image, camera, length, index=index, time_s=time_s, previous=previous)
 
