@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tests.oracles import Oracle, drawn_hands, make_card, restaged
 
-from twohands.inference.following import Trail, expected_joints, followed_boxes, moved_masks
+from twohands.inference.following import Trail, expected_joints, followed_boxes, moved_masks, similarity
 from twohands.types import HandPose, TwoHandPose
 
 SAMPLE = drawn_hands(1)
@@ -90,9 +90,17 @@ def test_masks_go_with_the_hands():
     seen = TwoHandPose(left, right, SAMPLE.camera, masks)
     moved = moved_masks(Trail.of(seen), joints_px + np.array([[[16.0, 8.0]], [[0.0, 0.0]]]))
     expected = np.zeros((20, 20), np.uint8)
-    expected[6:13, 8:15], expected[14:19, 0:5] = 1, 2  # a cell of four pixels wider all round
+    expected[5:14, 7:16], expected[13:20, 0:6] = 1, 2  # two cells of four pixels wider all round
     np.testing.assert_array_equal(moved, expected)
     assert not moved_masks(Trail.of(replace(seen, masks=None)), joints_px).any()
+
+
+def test_a_similarity_is_found_again():
+    points = np.random.default_rng(0).normal(0, 10, (21, 2))
+    linear = 1.2 * np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]])
+    place = similarity(points, points @ linear.T + [5, -7])
+    np.testing.assert_allclose(place, np.column_stack([linear, [5, -7]]), atol=1e-12)
+    np.testing.assert_allclose(similarity(np.ones((4, 2)), np.ones((4, 2)) + np.array([2, 3])), [[1, 0, 2], [0, 1, 3]])
 
 
 def test_followed_hands_are_found_without_segmentation():

@@ -22,10 +22,13 @@ from twohands.inference.weights import WeightsCard
 from twohands.skeleton import LEFT, N_JOINTS, RIGHT
 from twohands.types import HandPose, TwoHandPose
 
-REST_FRAMES: Final = 4
-"""For so many frames in a row HandSegNet may rest."""
+REST_FRAMES: Final = 1
+"""For so many frames in a row HandSegNet may rest: the older the masks, the worse PoseNet2D's crops (docs/history/
+journal.md, *Hands followed without segmentation*)."""
 _COARSE: Final = 4
 """Masks of followed hands have a cell for so many pixels a side."""
+_WIDER: Final = 2
+"""Cells by which they are wider: 1 and 4 are worse (docs/history/journal.md, *Hands followed without segmentation*)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +106,7 @@ def followed_assignment(trail: Trail, present: np.ndarray) -> Assignment:
 
 
 def moved_masks(trail: Trail, expected_px: np.ndarray) -> np.ndarray:
-    """What HandSegNet saw last, moved with the hands, and a cell wider all round, as fingers move as well.
+    """What HandSegNet saw last, moved, turned and scaled with the joints, and wider all round, as fingers bend as well.
 
     Args:
         trail: of the clip.
@@ -116,15 +119,27 @@ def moved_masks(trail: Trail, expected_px: np.ndarray) -> np.ndarray:
     if trail.seen.masks is None:
         return np.zeros((1, 1), np.uint8)
     before = np.ascontiguousarray(trail.seen.masks[::_COARSE, ::_COARSE])
-    size = before.shape[1], before.shape[0]
+    size, around = (before.shape[1], before.shape[0]), np.ones((2 * _WIDER + 1, 2 * _WIDER + 1), np.uint8)
     masks = np.zeros_like(before)
     for side, hand in enumerate(trail.seen.hands):
-        shift = (expected_px[side] - _joints(hand)).mean(axis=0) / _COARSE
-        if np.isfinite(shift).all():
-            wide = cv2.dilate((before == 1 + side).astype(np.uint8), np.ones((3, 3), np.uint8))
-            place = np.array([[1, 0, shift[0]], [0, 1, shift[1]]], np.float64)
+        joints = _joints(hand)
+        if np.isfinite(joints).all() and np.isfinite(expected_px[side]).all():
+            wide = cv2.dilate((before == 1 + side).astype(np.uint8), around)
+            place = similarity(joints / _COARSE, expected_px[side] / _COARSE)
             masks[cv2.warpAffine(wide, place, size, flags=cv2.INTER_NEAREST) > 0] = 1 + side
     return masks
+
+
+def similarity(points: np.ndarray, moved: np.ndarray) -> np.ndarray:
+    """The shift, turn and scale that bring points (N, 2) nearest to others (N, 2), by least squares: (2, 3), for
+    columns (u, v, 1). Of points that are all one, a shift."""
+    middle, to = points.mean(axis=0), moved.mean(axis=0)
+    around, other = points - middle, moved - to
+    spread = float((around**2).sum())
+    turn = np.array([(around * other).sum(), (around[:, 0] * other[:, 1] - around[:, 1] * other[:, 0]).sum()])
+    cos, sin = turn / spread if spread > 0 else (1.0, 0.0)
+    linear = np.array([[cos, -sin], [sin, cos]])
+    return np.column_stack([linear, to - linear @ middle])
 
 
 def _scores(trail: Trail) -> np.ndarray:
