@@ -19,7 +19,9 @@ from twohands.skeleton import LEFT, RIGHT
 from twohands.types import HandPose, TwoHandPose
 
 KEPT_SHARE: Final = 0.95
-"""Of the log-odds of before, in the next frame that says anything."""
+"""Of the log-odds of before, in the next frame that says anything. With `TRUST` it makes a side that was said for long
+hold against four frames that are sure of the other one, and change with the fifth; scripts/fit_sides.py compares other
+values."""
 TRUST: Final = 0.3
 """Of a frame's log-odds: the frames of a clip err alike, so that they say less together than apart."""
 SAID_LOGIT: Final = 4.0
