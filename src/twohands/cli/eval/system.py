@@ -38,8 +38,7 @@ class System:
     """Take the frames of each folder as video: hands that were there a frame before are remembered (not a peer's), and
     ranges are smoothed and leaving hands carried on."""
     rest_frames: int = 0
-    """With --smooth: for so many frames in a row HandSegNet rests while both hands are followed, as `track` does it;
-    these frames have no masks."""
+    """With --smooth: for so many frames in a row HandSegNet may rest, as in `track`; these have no masks."""
     peer: Literal["mediapipe"] | None = None
     """Measure another system instead of ours."""
     peer_python: Path | None = None
@@ -87,8 +86,7 @@ def predict_with(dataset: OpenedDataset, system: System, count: int | None) -> P
             name = weights_id(preset_folder(system.weights), estimator.card)
             settings = _settings(estimator, system)
         if system.smooth:
-            rests = {"rest_frames": system.rest_frames}
-            settings = settings | {"smoothed": True, "carried_frames": CARRIED_FRAMES} | rests
+            settings |= {"smoothed": True, "carried_frames": CARRIED_FRAMES, "rest_frames": system.rest_frames}
         system_under_test = _Video(estimate, system.rest_frames) if system.smooth else estimate
         predictions = predict(samples, system_under_test, dataset=dataset.samples.name, weights=name, settings=settings)
     return replace(predictions, command=this_command())
@@ -104,8 +102,7 @@ def _settings(estimator: HandEstimator, system: System) -> dict[str, Any]:
 
 
 class _Video:
-    """An estimator over the frames of folders, each a clip of its own: told what it said of the frame before, with
-    smooth ranges, leaving hands carried on, and sides that hands keep (`inference.video`)."""
+    """An estimator over the frames of folders, each a clip of its own (`inference.video`)."""
 
     def __init__(self, estimate: Callable[[HandSample, Trail | None, int], TwoHandPose], rest_frames: int) -> None:
         self._estimate = estimate
