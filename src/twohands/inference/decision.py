@@ -116,8 +116,6 @@ class DecisionConfig:
     """Log-odds below 0 down to which the first decision leaves it to the last one whether a candidate is a hand."""
     missed_cost: float = 1.0
     """What a missed hand costs beside a false one: with 2, a hand is reported from one chance in three on."""
-    followed_score: float = 0.5
-    """Score of a hand that was followed (`inference.following`) below which HandSegNet is to look."""
     uncertain_lead: float = UNCERTAIN_LEAD
     """The background's lead, in logits, below which a pixel is perhaps a hand's: for masks and crops alone."""
 

@@ -14,7 +14,14 @@ import numpy as np
 from twohands.geometry.segmentation import HandBoxes, certain_masks, parted_masks
 from twohands.inference.detection import Detection, HandFinder, joint_boxed
 from twohands.inference.engine import Networks, load_networks
-from twohands.inference.following import Trail, expected_joints, followed_assignment, followed_boxes, moved_masks
+from twohands.inference.following import (
+    DOUBTFUL_SCORE,
+    Trail,
+    expected_joints,
+    followed_assignment,
+    followed_boxes,
+    moved_masks,
+)
 from twohands.inference.handedness import Before
 from twohands.inference.keypoints import given_heatmaps
 from twohands.inference.placement import hand_poses, refine
@@ -120,7 +127,7 @@ class HandEstimator:
         crops = finder.crops(masks, boxes.boxes_px, np.flatnonzero(boxes.present))
         found = finder.recropped(Detection(masks, boxes, self.stages.keypoints(crops)))
         found = finder.rescored(found, followed_assignment(trail, boxes.present))
-        doubtful = found.boxes.scores < self.card.decision.followed_score
+        doubtful = found.boxes.scores < DOUBTFUL_SCORE
         if (boxes.present & (doubtful | ~found.boxes.present)).any():
             return None
         left, right = self.place_hands(image, found, camera, hand_length_m)

@@ -25,6 +25,8 @@ from twohands.types import HandPose, TwoHandPose
 REST_FRAMES: Final = 1
 """For so many frames in a row HandSegNet may rest: the older the masks, the worse PoseNet2D's crops (docs/history/
 journal.md, *Hands followed without segmentation*)."""
+DOUBTFUL_SCORE: Final = 0.5
+"""Score of a followed hand below which HandSegNet is to look: it is no hand, by the card's last decision."""
 _COARSE: Final = 4
 """Masks of followed hands have a cell for so many pixels a side."""
 _WIDER: Final = 2
