@@ -1,0 +1,308 @@
+"""The page in a real browser: what it shows of a webcam is what `track` says of the same frames.
+
+Needs Debian's chromium (`scripts/system-packages.sh browser`) and playwright. TWOHANDS_SCREENSHOTS names a folder for
+pictures of the pages, which are there to be looked at.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import http.server
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from fractions import Fraction
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+pytest.importorskip("playwright")
+pytest.importorskip("uvicorn")
+pytest.importorskip("av")
+import av
+from playwright.sync_api import sync_playwright
+
+from twohands.cli.demo import examples_folder
+from twohands.cli.main import main
+from twohands.formats.pictures import read_image
+from twohands.inference.clip_files import read_clip
+from twohands.live.messages import parse_picture
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(CHROMIUM is None, reason="no chromium: scripts/system-packages.sh browser installs it"),
+]
+ROOT = Path(__file__).resolve().parents[2]
+FOV_DEG = 104
+FRAMES = 12
+"""That are compared."""
+PATIENCE_MS = 600_000
+"""A machine that runs all tests at once may take long; nothing here is timed."""
+
+
+def moving_hands(count: int) -> list[np.ndarray]:
+    """A packaged picture of both hands, generated, under a camera that moves a little; (360, 640, 3) uint8 RGB."""
+    image = read_image(examples_folder() / "example_06.png")
+    frames = []
+    for phase in np.linspace(0, 2 * np.pi, count, endpoint=False):
+        zoom, (u, v) = 1.1 + 0.06 * np.sin(phase), (480 + 20 * np.sin(2 * phase), 270 + 12 * np.cos(phase))
+        matrix = np.array([[zoom, 0, 480 - zoom * u], [0, zoom, 270 - zoom * v]])
+        moved = cv2.warpAffine(image, matrix, (960, 540), borderMode=cv2.BORDER_REFLECT)
+        frames.append(cv2.resize(moved, (640, 360), interpolation=cv2.INTER_AREA))
+    return frames
+
+
+def lossless_clip(path: Path, frames: list[np.ndarray], times_s: list[float]) -> Path:
+    """A video file that gives the very pixels back."""
+    clock = Fraction(1, 1_000_000)
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("ffv1", rate=30)
+        stream.height, stream.width = frames[0].shape[:2]
+        stream.pix_fmt = "bgr0"
+        stream.codec_context.time_base = clock
+        for image, time_s in zip(frames, times_s, strict=True):
+            frame = av.VideoFrame.from_ndarray(image, format="rgb24").reformat(format="bgr0")
+            frame.pts, frame.time_base = round(time_s / clock), clock
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    return path
+
+
+@pytest.fixture(scope="module")
+def webcam(tmp_path_factory) -> Path:
+    """What the browser takes for its camera."""
+    path = tmp_path_factory.mktemp("webcam") / "clip.mjpeg"
+    quality = [cv2.IMWRITE_JPEG_QUALITY, 95]
+    frames = [cv2.imencode(".jpg", image[..., ::-1], quality)[1].tobytes() for image in moving_hands(60)]
+    path.write_bytes(b"".join(frames))
+    return path
+
+
+@pytest.fixture(scope="module")
+def browser(webcam):
+    fake = ["--use-fake-ui-for-media-stream", "--use-fake-device-for-media-stream"]
+    drawing = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    arguments = [*fake, f"--use-file-for-fake-video-capture={webcam}", *drawing, "--no-sandbox"]
+    with sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=CHROMIUM, args=arguments, timeout=PATIENCE_MS)
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def page(browser):
+    context = browser.new_context(viewport={"width": 1280, "height": 900}, permissions=["camera"])
+    context.set_default_timeout(PATIENCE_MS)
+    page = context.new_page()
+    page.problems = []
+    page.on("pageerror", lambda error: page.problems.append(str(error)))
+    page.on("console", lambda said: said.type == "error" and page.problems.append(said.text))
+    yield page
+    context.close()
+
+
+@contextlib.contextmanager
+def live(*arguments: str):
+    """`twohands live` on a free port; gives its address. Ends it by Ctrl-C, which must do."""
+    command = [sys.executable, "-m", "twohands", "live", "--port", "0", "--no-open", "--fov", str(FOV_DEG), *arguments]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        found = re.search(r"http://\S+", process.stdout.readline())
+        assert found is not None, process.stderr and process.stderr.read()
+        yield found[0]
+        process.send_signal(signal.SIGINT)
+        assert process.wait(60) == 0
+        assert "Traceback" not in (process.stderr.read() if process.stderr else "")
+    finally:
+        process.kill()
+
+
+@contextlib.contextmanager
+def other_site(folder: Path):
+    """A web site of somebody else; gives its origin."""
+
+    class Quiet(http.server.SimpleHTTPRequestHandler):
+        def log_message(self, *_):
+            pass
+
+    handler = functools.partial(Quiet, directory=folder)
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_port}"
+        server.shutdown()
+
+
+def until(page, expression: str) -> None:
+    """Waits for an expression; playwright's own waiting evaluates text in the page, which its policy forbids."""
+    deadline = time.monotonic() + PATIENCE_MS / 1000
+    while not page.evaluate(expression):
+        assert time.monotonic() < deadline, f"{expression}; {page.inner_text('body')[:500]}"
+        page.wait_for_timeout(100)
+
+
+def shots(page, name: str) -> None:
+    """Pictures of a page, wide and narrow, where somebody wants them."""
+    folder = os.environ.get("TWOHANDS_SCREENSHOTS")
+    if folder:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        for width, height in ((1280, 900), (400, 860)):
+            page.set_viewport_size({"width": width, "height": height})
+            time.sleep(2)
+            page.screenshot(path=f"{folder}/{name}_{width}.png", full_page=True)
+
+
+def joints_on_the_page(page) -> tuple[int, np.ndarray]:
+    """Index of the frame, and (2, 21, 3) metres of both hands; NaN where nothing is shown."""
+    index, cells = page.evaluate(
+        """() => { const table = document.querySelector("#joints");
+                   const cells = [...table.querySelectorAll("td")].map((cell) => cell.textContent);
+                   return [Number(table.dataset.index), cells] }"""
+    )
+    values = np.array([np.nan if text in ("–", "") else float(text) / 1000 for text in cells])
+    return index, values.reshape(21, 2, 3).transpose(1, 0, 2)
+
+
+def joints(pose) -> np.ndarray:
+    return np.stack([np.full((21, 3), np.nan) if hand.joints_m is None else hand.joints_m for hand in pose.hands])
+
+
+def test_joints_on_the_page_are_those_of_track(page, tmp_path):
+    sent, lines = [], []
+
+    def listen(socket):
+        socket.on("framesent", lambda data: isinstance(data, bytes) and sent.append(data))
+        socket.on("framereceived", lambda data: isinstance(data, str) and lines.append(data))
+
+    page.on("websocket", listen)
+    with live() as address:
+        page.goto(address)
+        page.click("summary")
+        page.click("#webcam")
+        until(page, f"Number(document.querySelector('#joints').dataset.index) >= {FRAMES}")
+        until(page, "/fps.*delay/.test(document.querySelector('#facts').textContent)")
+        print("live page:", page.inner_text("#facts"))
+        shots(page, "live")
+        page.click("#stop")
+        page.wait_for_timeout(500)
+        shown_index, shown = joints_on_the_page(page)
+        with page.expect_download() as download:
+            page.click("#webcam")
+            page.click("#record")
+            until(page, "/[1-9] frames recorded/.test(document.querySelector('#facts').textContent)")
+            page.click("#record")
+        header, poses = read_clip(Path(shutil.copy(download.value.path(), tmp_path / "hands.jsonl")))
+        assert header["source"] == "webcam" and len(list(poses)) > 0
+    assert page.problems == []
+    told = {}
+    for line in map(json.loads, lines):
+        if "version" in line:
+            if told:
+                break  # the second clip, which was recorded
+            assert abs(line["camera"]["width"] - 2 * line["camera"]["fx"] * np.tan(np.radians(FOV_DEG / 2))) < 1e-3
+        else:
+            told[line["index"]] = line
+    count = len(told)
+    taken = [parse_picture(message) for message in sent[:count]]
+    clip = lossless_clip(tmp_path / "sent.mkv", [image for _, image in taken], [time_s for time_s, _ in taken])
+    out = tmp_path / "track"
+    assert main(["track", str(clip), "--out", str(out), "--fov", str(FOV_DEG), "--no-overlay"]) == 0
+    _, poses = read_clip(out / "hands.jsonl")
+    poses = {pose.index: pose for pose in poses}
+    assert len(poses) == count and np.isfinite(joints(poses[FRAMES])).all(), "both hands were to be seen"
+    for index, line in told.items():
+        streamed = [line["hands"][side]["joints_m"] or np.full((21, 3), np.nan) for side in ("left", "right")]
+        np.testing.assert_allclose(np.array(streamed), joints(poses[index]), atol=1e-3, equal_nan=True)
+    np.testing.assert_allclose(shown, joints(poses[shown_index]), atol=1e-3, equal_nan=True)
+
+
+def test_a_dropped_video_is_tracked(page, tmp_path):
+    clip = tmp_path / "moving.webm"
+    with av.open(str(clip), "w") as container:
+        stream = container.add_stream("libvpx", rate=2, options={"deadline": "realtime"})
+        stream.width, stream.height, stream.pix_fmt = 640, 360, "yuv420p"
+        for image in moving_hands(15):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
+        container.mux(stream.encode())
+    with live("--mirrored", "--hand-length", "12") as address:
+        page.goto(address)
+        assert page.is_checked("#mirrored") and page.input_value("#length") == "12"
+        page.set_input_files("#file", clip)
+        until(page, "/cm/.test(document.querySelector('#numbers').textContent)")
+        until(page, "document.querySelector('#stop').disabled")
+        assert page.inner_text("#source") == "moving.webm"
+    assert page.problems == []
+
+
+def test_pages_of_another_site_are_refused_and_the_documented_client_is_let_in(page, tmp_path):
+    snippet = re.search(r"```javascript\n(.*?)```", (ROOT / "docs/stream.md").read_text(encoding="utf-8"), re.DOTALL)
+    assert snippet is not None
+    (tmp_path / "index.html").write_text("<!doctype html>a page")
+    with other_site(tmp_path) as origin:
+        for allowed in (False, True):
+            with live(*(["--allow-origin", origin] if allowed else [])) as address:
+                said = []
+                page.on("console", lambda message, said=said: said.append(message.text))
+                page.goto(origin)
+                script = snippet[1].replace("ws://127.0.0.1:8765", address.replace("http:", "ws:").rstrip("/"))
+                page.evaluate(f"{script}; globalThis.asked = stream")
+                until(page, f"asked.readyState === {1 if allowed else 3}")
+                if allowed:
+                    viewer = page.context.new_page()
+                    viewer.goto(address)
+                    viewer.click("#webcam")
+                    deadline = time.monotonic() + PATIENCE_MS / 1000
+                    while not any("index fingertip" in text for text in said) and time.monotonic() < deadline:
+                        page.wait_for_timeout(200)
+                    assert any("index fingertip" in text for text in said)
+
+
+def test_the_report_opens_from_disk_and_asks_nobody(page, tmp_path):
+    frames = moving_hands(20)
+    clip = lossless_clip(tmp_path / "clip.mkv", frames, [index / 10 for index in range(20)])
+    out = tmp_path / "out"
+    assert main(["track", str(clip), "--out", str(out), "--fov", str(FOV_DEG)]) == 0
+    _, poses = read_clip(out / "hands.jsonl")
+    poses = list(poses)
+    asked = []
+    page.context.set_offline(True)
+    page.route(re.compile(r"^(?!file:|blob:|data:)"), lambda route: route.abort())
+    page.on("request", lambda request: asked.append(request.url))
+    page.goto((out / "report.html").as_uri())
+    page.click("summary")
+    until(page, "document.querySelector('#joints').dataset.index === '0'")
+    seen = {}
+    for index in (0, 7, 19):
+        page.evaluate(f"document.querySelector('#seek').value = {index}; document.querySelector('#seek').oninput()")
+        until(page, f"document.querySelector('#joints').dataset.index === '{index}'")
+        np.testing.assert_allclose(joints_on_the_page(page)[1], joints(poses[index]), atol=1e-4, equal_nan=True)
+        seen[index] = page.evaluate(
+            """() => { const canvas = document.querySelector("#picture canvas");
+                       const small = Object.assign(document.createElement("canvas"), { width: 64, height: 36 });
+                       const context = small.getContext("2d");
+                       context.drawImage(canvas, 0, 0, 64, 36);
+                       return [...context.getImageData(0, 0, 64, 36).data] }"""
+        )
+    for index, data in seen.items():  # the film shows the frame that is asked for, and no other
+        painted = np.array(data).reshape(36, 64, 4)[..., :3]
+        off = [
+            np.abs(painted - cv2.resize(frames[other], (64, 36), interpolation=cv2.INTER_AREA)).mean() for other in seen
+        ]
+        assert list(seen)[int(np.argmin(off))] == index
+    shots(page, "report")
+    page.evaluate("document.querySelector('#seek').value = 0; document.querySelector('#seek').oninput()")
+    page.click("#play")
+    until(page, "Number(document.querySelector('#joints').dataset.index) >= 15")
+    assert page.problems == []
+    assert [url for url in asked if not url.startswith(("file:", "blob:", "data:"))] == []
+    assert [url for url in asked if url.startswith("file:")] == [(out / "report.html").as_uri()]
