@@ -108,6 +108,20 @@ def test_only_the_first_signal_counts_and_children_end_as_ever():
         assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGTERM
 
 
+class EndsWithASignal:
+    def __del__(self) -> None:
+        signal.raise_signal(signal.SIGTERM)
+
+
+def test_a_signal_while_an_object_is_taken_away_is_not_lost():
+    """matplotlib's figures leave many such moments: the run went on to its end, and no second signal counted."""
+    with pytest.raises(process.EndedBySignal), process.ending_like_ctrl_c():
+        EndsWithASignal()
+        for _ in range(1000):
+            time.sleep(0.01)
+        pytest.fail("the signal was lost")
+
+
 def test_signals_that_are_ignored_stay_ignored_and_other_threads_change_nothing():
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as nohup does
     try:

@@ -20,6 +20,8 @@ ENDING_SIGNALS = tuple(
     getattr(signal, name) for name in ("SIGTERM", "SIGHUP", "SIGXCPU") if hasattr(signal, name)
 )  # Windows has fewer
 """Sent by `docker stop`, a scheduler, a terminal that is closed, a limit on processor time."""
+AGAIN_S = 0.05
+"""Until an end that was lost is asked for again."""
 MOST_WARNINGS = 8
 """That one command says."""
 
@@ -40,7 +42,10 @@ class EndedBySignal(KeyboardInterrupt):
 def ending_like_ctrl_c() -> Iterator[None]:
     """While it is open, `ENDING_SIGNALS` raise `EndedBySignal` in the main thread, once; a second one is let pass, so
     that what is being saved is saved. Processes that were forked off end as ever. Signals that the process was told to
-    ignore (`nohup`) stay ignored. In another thread than the main one nothing happens."""
+    ignore (`nohup`) stay ignored. In another thread than the main one nothing happens.
+
+    Python drops what is raised while it takes an object away (`__del__`, callbacks of weak references); then it is
+    raised again a little later."""
     owner = os.getpid()
     asked = False
 
@@ -53,6 +58,18 @@ def ending_like_ctrl_c() -> Iterator[None]:
             asked = True
             raise EndedBySignal(number)
 
+    def again(number: int) -> None:
+        if sys.unraisablehook is dropped:  # still open
+            os.kill(owner, number)
+
+    def dropped(lost: sys.UnraisableHookArgs) -> None:
+        nonlocal asked
+        if isinstance(lost.exc_value, EndedBySignal):
+            asked = False
+            threading.Timer(AGAIN_S, again, (lost.exc_value.number,)).start()
+        else:
+            usual(lost)
+
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -60,9 +77,11 @@ def ending_like_ctrl_c() -> Iterator[None]:
     changed = {number: handler for number, handler in before.items() if handler == signal.SIG_DFL}
     for number in changed:
         signal.signal(number, end)
+    usual, sys.unraisablehook = sys.unraisablehook, dropped
     try:
         yield
     finally:
+        sys.unraisablehook = usual
         for number, handler in changed.items():
             signal.signal(number, handler)
 
