@@ -57,6 +57,15 @@ def test_a_hand_whose_side_is_known_is_hardly_more_present():
     assert sides[LEFT] > 0 and np.isnan(sides[RIGHT])
 
 
+def test_a_second_hand_in_the_place_of_a_known_one_is_not_lost():
+    """Hands that touch: both candidates stand where the left hand was, and the picture is sure of both."""
+    near = np.array([BOXES[0], BOXES[0] + [4, 0, 4, 0]])
+    evidence = known((2.0, 2.0), (-2.0, -2.0), near)
+    memory = remembered(np.array([BOXES[0], [np.nan] * 4]), (4.0, np.nan))
+    assert (memory.left_logits(near) > 1).all()
+    assert assign_in_clip(evidence, RULES, memory)[0].source.tolist() == [LEFT, RIGHT]
+
+
 def test_a_hand_elsewhere_is_judged_afresh():
     memory = remembered(BOXES + 1000, (4.0, 4.0))
     evidence = known((1.0, 1.0), (4.0, 4.0))

@@ -114,8 +114,6 @@ class DecisionConfig:
     """Two candidates whose boxes overlap this much are in one place, and also seen as one hand."""
     lenience: float = 2.0
     """Log-odds below 0 down to which the first decision leaves it to the last one whether a candidate is a hand."""
-    missed_cost: float = 1.0
-    """What a missed hand costs beside a false one: with 2, a hand is reported from one chance in three on."""
     uncertain_lead: float = UNCERTAIN_LEAD
     """The background's lead, in logits, below which a pixel is perhaps a hand's: for masks and crops alone."""
 

@@ -137,14 +137,12 @@ def rescore(look: LastLook, config: DecisionConfig) -> tuple[np.ndarray, np.ndar
     """Which of the hands of an assignment are hands, after the last view of them.
 
     Returns:
-        (2,) bool, the answer of the least expected cost (`DecisionConfig.missed_cost`), and (2,) log-odds of either
-        hand; NaN for one that was absent before.
+        (2,) bool, the most probable answer, and (2,) log-odds of either hand; NaN for one that was absent before.
     """
     chances = probabilities(answer_scores(last_features(look), weight_vector(config.last, LAST_FEATURES)))
     kept = np.array(KEPT)
     logits = log_odds(np.array([chances[kept[:, side]].sum() for side in (LEFT, RIGHT)]))
-    costly = chances * config.missed_cost ** kept.sum(axis=1)
-    return kept[int(np.argmax(costly))], np.where(look.source >= 0, logits, np.nan)
+    return kept[int(np.argmax(chances))], np.where(look.source >= 0, logits, np.nan)
 
 
 def weight_vector(weights: Mapping[str, float], names: Sequence[str]) -> np.ndarray:

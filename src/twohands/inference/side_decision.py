@@ -26,8 +26,8 @@ _SOURCES: Final = np.array(ANSWERS)
 
 
 def assign_in_clip(evidence: Evidence, config: DecisionConfig, memory: SideMemory) -> tuple[Assignment, np.ndarray]:
-    """As `handedness.assign_handedness`, where every hand of an answer has the chance besides that a hand in this place
-    is of that side.
+    """As `handedness.assign_handedness`, where an answer has the chance besides that hands in these places are of its
+    sides.
 
     Returns:
         The assignment, and (2,) log-odds that its hands are of their sides and not of the other, as this picture alone
@@ -54,7 +54,11 @@ def left_logits(chances: np.ndarray) -> np.ndarray:
 
 def _side_scores(known: np.ndarray) -> np.ndarray:
     """(7,) what the answers gain by what is known, (2,) log-odds of either candidate's being the left hand: 0 where
-    nothing is."""
-    gains = np.array([np.log(2.0) - np.logaddexp(0.0, -sign * known) for sign in SIGNS])  # (side, candidate)
-    taken = [[gains[side, source] if source >= 0 else 0.0 for side, source in enumerate(answer)] for answer in ANSWERS]
-    return np.array(taken).sum(axis=1)
+    nothing is. Of a pair, the difference counts: two candidates in the place of one remembered hand are no less likely
+    a pair for that, and only one of them is that hand."""
+    scores = np.zeros(len(ANSWERS))
+    for number, (left, right) in enumerate(ANSWERS):
+        if left >= 0 or right >= 0:
+            lead = (known[left] if left >= 0 else 0.0) - (known[right] if right >= 0 else 0.0)
+            scores[number] = np.log(2.0) - np.logaddexp(0.0, -lead)
+    return scores
