@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from twohands.errors import InputError
+from twohands.skeleton import ROOT
 
 Array = Any
 """A numpy array or a torch tensor; functions of `twohands.geometry` return the kind they were given."""
@@ -214,6 +215,10 @@ class HandPose:
         valid: whether the camera-space result can be used.
         side_logit: log-odds that the hand is of this side and not of the other, as this picture alone says; None where
             nobody says; not exported.
+        range_sigma_m: standard deviation of `range_m`, metres: that of the estimate, and of what was assumed; None
+            where it is not known.
+        scale_source: how the hand length is known: "typed", "board", "distance", "assumed".
+        intrinsics_source: how the camera is known: "file", "fov", "board", "exif", "assumed".
     """
 
     present: bool
@@ -230,6 +235,9 @@ class HandPose:
     method: str | None = None
     valid: bool | None = None
     side_logit: float | None = None
+    range_sigma_m: float | None = None
+    scale_source: str | None = None
+    intrinsics_source: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -256,3 +264,20 @@ class TwoHandPose:
     def hands(self) -> tuple[HandPose, HandPose]:
         """(LEFT, RIGHT)."""
         return self.left, self.right
+
+    @property
+    def between_hands_m(self) -> np.ndarray | None:
+        """(3,) from the left hand's root joint to the right one's, camera frame, metres; None unless both are valid."""
+        if self.left.joints_m is None or self.right.joints_m is None or not (self.left.valid and self.right.valid):
+            return None
+        return self.right.joints_m[ROOT] - self.left.joints_m[ROOT]
+
+    @property
+    def overlap(self) -> float | None:
+        """Share of the smaller hand's box that lies in the other's, 0..1; None unless both are present."""
+        if self.left.box_px is None or self.right.box_px is None:
+            return None
+        left, right = (np.asarray(hand.box_px, np.float64) for hand in self.hands)
+        common = np.minimum(left[2:], right[2:]) - np.maximum(left[:2], right[:2])
+        smaller = min(float(np.prod(box[2:] - box[:2])) for box in (left, right))
+        return float(np.prod(np.maximum(common, 0.0))) / smaller if smaller > 0 else None

@@ -14,7 +14,7 @@ from twohands.types import HandPose, PinholeCamera, TwoHandPose
 
 HAND_KEYS = {
     "present", "score", "box_px", "joints_px", "joint_scores", "canonical", "joints_m", "range_m", "theta_deg",
-    "phi_deg", "key_bone", "method", "valid",
+    "phi_deg", "key_bone", "method", "valid", "range_sigma_m", "scale_source", "intrinsics_source",
 }  # fmt: skip
 
 
@@ -35,7 +35,7 @@ def test_the_schema_of_version_1():
     assert record["hand_length_m"] is None and record["config"] is None
     assert (record["version"], record["source"], record["weights"]) == (1, "pictures", "tiny")
     first, second = record["frames"]
-    assert list(first) == ["index", "file", "time_s", "camera", "hands"]
+    assert list(first) == ["index", "file", "time_s", "camera", "hands", "between_hands_m", "overlap"]
     assert first["file"] is None
     assert (first["index"], first["time_s"], second["index"], second["time_s"]) == (0, 0.5, 1, None)
     assert list(first["camera"]) == ["fx", "fy", "cx", "cy", "width", "height"]
@@ -50,6 +50,16 @@ def test_the_schema_of_version_1():
         assert hand["key_bone"] in ("wrist", "little") and hand["method"] == "fitted"
     absent = second["hands"]["left"]
     assert absent == {name: None for name in HAND_KEYS} | {"present": False}
+
+
+def test_results_from_before_ranges_said_how_far_they_may_be_off_are_read():
+    record = json.loads(json.dumps(to_dict(two_frames(), source="s", weights="w")))
+    for frame in record["frames"]:
+        for hand in frame["hands"].values():
+            for name in ("range_sigma_m", "scale_source", "intrinsics_source"):
+                del hand[name]
+        del frame["between_hands_m"], frame["overlap"]
+    assert from_dict(record)[0].left.range_sigma_m is None
 
 
 def test_round_trip_through_json_text_keeps_every_number_to_a_micrometre():

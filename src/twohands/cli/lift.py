@@ -20,6 +20,7 @@ from twohands.cli.output import write_file
 from twohands.errors import DataFormatError, InputError
 from twohands.formats.structured import parse_json, read_bytes
 from twohands.geometry.lifting import View
+from twohands.inference.range_sigma import with_sources
 from twohands.inference.records import from_dict, to_dict
 from twohands.inference.tables import csv_text, npz_bytes, to_arrays
 from twohands.inference.tracker import HandTracker
@@ -91,6 +92,8 @@ def run(args: LiftArgs) -> int:
     length_m = _bone_length_m(args, known, foreign.bone_ratio)
     warn(hand_length_doubts(length_m / foreign.bone_ratio) + camera_doubts(camera))
     placed = place_hands(foreign, camera, length_m, poses=poses, mirrored=args.mirrored)
+    scale_source = "typed" if args.bone_length is not None else known.scale_source
+    placed = [with_sources(pose, scale_source, known.camera_source or "file") for pose in placed]
     if args.smooth:
         tracker = HandTracker()
         placed = [tracker.update(pose) for pose in placed]

@@ -24,12 +24,13 @@ import tyro
 
 from twohands.cli.known import Known, camera_assumption, known_by
 from twohands.cli.output import check_output_folder, write_file
-from twohands.cli.track_clip import ClipJob, check_look_ahead, check_times, default_out, track_clip
+from twohands.cli.track_clip import ClipJob, Estimate, check_look_ahead, check_times, default_out, track_clip
 from twohands.errors import InputError, MissingExtraError, TwoHandsError
 from twohands.formats.pictures import list_images, look_through, natural_key, read_image
-from twohands.formats.profiles import IntrinsicsSource
+from twohands.formats.profiles import IntrinsicsSource, ScaleSource
 from twohands.inference.estimator import HandEstimator
 from twohands.inference.frames import is_video, load_av, open_frames
+from twohands.inference.range_sigma import with_sources
 from twohands.inference.records import to_dict
 from twohands.inference.weights import DEFAULT_PRESET
 from twohands.lifting.mediapipe_estimator import MediaPipeEstimator
@@ -149,6 +150,7 @@ def run(args: TrackArgs) -> int:
         files=files,
         source=args.input,
         skip=several,
+        scale_source=known.scale_source,
     )
     if skipped := len(files) - len(record["frames"]):
         _say(f"{skipped} of {len(files)} images skipped")
@@ -197,10 +199,10 @@ def _track_clip(args: TrackArgs, known: Known) -> int:
             load_av()
         if args.estimator == "mediapipe":
             peer = stack.enter_context(MediaPipeEstimator(args.peer_python, model=args.mediapipe_model, video=True))
-            estimate, weights, more = peer.estimate, peer.name, {}
+            estimator, weights, more = peer.estimate, peer.name, {}
         else:
             ours = HandEstimator.from_preset(args.weights)
-            estimate, weights, more = ours.estimate, ours.card.name, {"config": ours.card.settings()}
+            estimator, weights, more = ours.estimate, ours.card.name, {"config": ours.card.settings()}
         if known.camera is None and known.fov_deg is None:
             _say(camera_assumption("assumed") or "")
         for line in known.assumptions():
@@ -218,7 +220,17 @@ def _track_clip(args: TrackArgs, known: Known) -> int:
             weights,
             more,
         )
-        return track_clip(job, frames, estimate)
+        camera_source = "assumed" if known.camera_source is None else known.camera_source
+        return track_clip(job, frames, _sourced(estimator, known.scale_source, camera_source))
+
+
+def _sourced(estimator: Estimate, scale_source: ScaleSource, camera_source: IntrinsicsSource) -> Estimate:
+    """An estimator whose hands say how length and camera are known."""
+
+    def estimate(*args: Any, **options: Any) -> TwoHandPose:
+        return with_sources(estimator(*args, **options), scale_source, camera_source)
+
+    return estimate
 
 
 def track_pictures(
@@ -230,6 +242,7 @@ def track_pictures(
     files: list[Path],
     source: str,
     skip: bool = False,
+    scale_source: ScaleSource = "typed",
 ) -> dict[str, Any]:
     """Estimate every picture and write overlay, three-view figure and, now and then and at whatever end, hands.json.
 
@@ -240,6 +253,7 @@ def track_pictures(
         out: folder for the results.
         files: the source's files, by `Picture.index`.
         source: named in hands.json.
+        scale_source: how the hand length is known.
         skip: name and leave out pictures that cannot be used with their camera.
 
     Returns:
@@ -272,6 +286,7 @@ def track_pictures(
                 _say(line)
             try:
                 pose = estimator.estimate(picture.image, picture.camera, hand_length_m, index=picture.index)
+                pose = with_sources(pose, scale_source, picture.camera_source)
             except InputError as error:
                 if not skip:
                     raise

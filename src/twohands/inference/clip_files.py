@@ -41,7 +41,7 @@ _METHOD: Final = "<U12"
 def frame_line(pose: TwoHandPose) -> str:
     """One frame as a line of hands.jsonl, without its end."""
     frame = _record(pose)["frames"][0]
-    return json.dumps({"index": frame["index"], "time_s": frame["time_s"], "hands": frame["hands"]})
+    return json.dumps({name: frame[name] for name in ("index", "time_s", "hands", "between_hands_m", "overlap")})
 
 
 def header_line(

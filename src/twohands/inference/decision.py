@@ -158,6 +158,14 @@ class PlacementConfig:
     """Standard deviation of the logarithm of the range, over hands of scene style wild."""
     correlation: float = 0.41
     """Of the logarithms of both ranges, over pairs of hands of scene style wild."""
+    sigma_scale: float = 1.07
+    """What the standard deviation of the likely range (`posterior`) is multiplied by where the palm's joints are seen
+    `sigma_misfit` hand lengths from where the pose has them, so that 68 % of the errors lie within it; fitted by
+    scripts/fit_range_errors.py on 99 pictures of scene style wild (split val, seed 41) with preset fast."""
+    sigma_power: float = 0.4
+    """Of that misfit, over `sigma_misfit`."""
+    sigma_misfit: float = 0.02
+    """Typical misfit, in hand lengths."""
 
     def __post_init__(self) -> None:
         errors = self.range_errors

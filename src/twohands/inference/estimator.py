@@ -190,6 +190,7 @@ class HandEstimator:
             if truth.boxes_px is None:
                 boxes = joint_boxed(boxes, keypoints, image.shape[:2], self.card)
         placed = self.stages.place(canonical, keypoints.joints_px, keypoints.joint_scores, camera, lengths_m)
+        sigmas_m = None
         if estimated:
-            canonical, placed = refine(self.card.placement, canonical, keypoints, camera, lengths_m, placed)
-        return hand_poses(boxes, keypoints, canonical, placed, found.side_logits)
+            canonical, placed, sigmas_m = refine(self.card.placement, canonical, keypoints, camera, lengths_m, placed)
+        return hand_poses(boxes, keypoints, canonical, placed, found.side_logits, sigmas_m)

@@ -101,6 +101,7 @@ class LeavingHand:
             joints_px=joints_px,
             joints_m=None,
             range_m=None,
+            range_sigma_m=None,
             theta_deg=theta,
             phi_deg=phi,
             method=None,

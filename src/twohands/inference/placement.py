@@ -22,10 +22,13 @@ from twohands.geometry.segmentation import HandBoxes
 from twohands.inference.decision import PlacementConfig
 from twohands.inference.keypoints import Keypoints
 from twohands.plausibility import range_doubts, warn
+from twohands.skeleton import PALM
 from twohands.types import GlobalPose, HandPose, PinholeCamera
 
 METHOD: Final[Method] = "fitted"
 KEY_BONE_NAMES: Final = ("wrist", "little")
+LEAST_MISFIT: Final = 0.005
+"""Of a palm's joints, in hand lengths: no estimate is better."""
 
 
 def lift(network: Callable[[np.ndarray], np.ndarray], keypoints: Keypoints) -> np.ndarray:
@@ -69,7 +72,7 @@ def refine(
     camera: PinholeCamera,
     lengths_m: np.ndarray,
     placed: GlobalPose,
-) -> tuple[np.ndarray, GlobalPose]:
+) -> tuple[np.ndarray, GlobalPose, np.ndarray]:
     """The joints pulled to their lines of sight (`pull_to_rays`), and all of it at the likely range
     (`posterior_ranges`).
 
@@ -80,18 +83,48 @@ def refine(
         placed: the hands as `place` puts them.
 
     Returns:
-        Canonical joints (B, 21, 3), and the hands in metres.
+        Canonical joints (B, 21, 3), the hands in metres, and the standard deviations of their ranges (B,) in metres,
+        NaN where they are not known.
     """
     share = config.ray_share * keypoints.joint_scores
     canonical = pull_to_rays(canonical, keypoints.joints_px, camera, lengths_m, placed, share)
-    radius_m = posterior_ranges(placed.radius_m, keypoints.joint_scores, config)
+    radius_m, spread = posterior(placed.radius_m, keypoints.joint_scores, config)
+    misfit = palm_misfit(canonical, keypoints.joints_px, camera, lengths_m, placed)
+    spread = spread * config.sigma_scale * (misfit / config.sigma_misfit) ** config.sigma_power
+    spread = np.minimum(spread, config.usual_spread)  # no picture tells less than what is usual
     joints_m = camera_from_canonical(canonical, lengths_m, radius_m, placed.theta, placed.phi)
     finite = np.isfinite(joints_m).all(axis=(1, 2))
-    return canonical, replace(placed, joints_m=joints_m, radius_m=radius_m, valid=placed.valid & finite)
+    found = replace(placed, joints_m=joints_m, radius_m=radius_m, valid=placed.valid & finite)
+    return canonical, found, spread * radius_m
+
+
+def palm_misfit(
+    canonical: np.ndarray, joints_px: np.ndarray, camera: PinholeCamera, lengths_m: np.ndarray, placed: GlobalPose
+) -> np.ndarray:
+    """How far the palm's joints are seen from where the pose has them, root mean square in hand lengths.
+
+    Args:
+        canonical, joints_px, camera, lengths_m: as for `place`.
+        placed: the hands as `place` puts them.
+
+    Returns:
+        (B,), at least `LEAST_MISFIT`; NaN where a hand has no place or the lens no line of sight.
+    """
+    palm = list(PALM)
+    joints_m = camera_from_canonical(canonical, lengths_m, placed.radius_m, placed.theta, placed.phi)[:, palm]
+    off = unproject(joints_px[:, palm], camera)[..., :2] - joints_m[..., :2] / joints_m[..., 2:]
+    away = np.asarray(placed.radius_m)[:, None] / lengths_m[:, None]
+    rms = np.sqrt(((off**2).sum(axis=-1) * away**2).mean(axis=-1))
+    return np.maximum(rms, LEAST_MISFIT)
 
 
 def posterior_ranges(radius_m: np.ndarray, joint_scores: np.ndarray, config: PlacementConfig) -> np.ndarray:
-    """The most likely ranges of the hands of one picture.
+    """(B,) metres: the first of `posterior`."""
+    return posterior(radius_m, joint_scores, config)[0]
+
+
+def posterior(radius_m: np.ndarray, joint_scores: np.ndarray, config: PlacementConfig) -> tuple[np.ndarray, np.ndarray]:
+    """The most likely ranges of the hands of one picture, and how far they may be off.
 
     The logarithms of the ranges are taken for normal, of known mean and covariance, and so are the errors of their
     estimates, independent of each other: the result is the mean of what remains possible.
@@ -103,20 +136,25 @@ def posterior_ranges(radius_m: np.ndarray, joint_scores: np.ndarray, config: Pla
         config: what is usual, and the errors of estimates: those at other scores than the two given follow as powers.
 
     Returns:
-        (B,) metres; NaN where it was; the estimates themselves where the config has no `range_errors`.
+        (B,) metres; NaN where it was; the estimates themselves where the config has no `range_errors`. And (B,)
+        standard deviations of their logarithms; NaN where they are not known.
     """
+    spread = np.full(len(radius_m), np.nan)
     if config.range_errors is None:
-        return radius_m
+        return radius_m, spread
     known = np.isfinite(radius_m)
     highest, lower = config.range_errors
     part = (1 - joint_scores[known].mean(axis=-1)) / (1 - config.lower_score)
     error = highest ** (1 - part) * lower**part
     covariance = config.usual_spread**2 * np.where(np.eye(len(error)), 1.0, config.correlation)
     usual = math.log(config.usual_range_m)
-    off = np.linalg.solve(covariance + np.diag(error**2), np.log(radius_m[known]) - usual)
+    with_errors = covariance + np.diag(error**2)
+    off = np.linalg.solve(with_errors, np.log(radius_m[known]) - usual)
     likely = np.array(radius_m, np.float64)
     likely[known] = np.exp(usual + covariance @ off)
-    return likely
+    remaining = covariance - covariance @ np.linalg.solve(with_errors, covariance)
+    spread[known] = np.sqrt(np.diag(remaining))
+    return likely, spread
 
 
 def hand_poses(
@@ -125,9 +163,10 @@ def hand_poses(
     canonical: np.ndarray,
     placed: GlobalPose,
     side_logits: np.ndarray | None = None,
+    sigmas_m: np.ndarray | None = None,
 ) -> tuple[HandPose, HandPose]:
-    """Everything known about the hands LEFT and RIGHT of a picture, from batches of those that are there, and of their
-    sides from (2,) log-odds."""
+    """Everything known about the hands LEFT and RIGHT of a picture, from batches of those that are there; of their
+    sides from (2,) log-odds, of their ranges from (B,) standard deviations in metres."""
     hands = [HandPose(present=False), HandPose(present=False)]
     for i, side in enumerate(keypoints.sides):
         valid = bool(placed.valid[i])
@@ -146,6 +185,7 @@ def hand_poses(
             method=METHOD,
             valid=valid,
             side_logit=None if side_logits is None else float(side_logits[side]),
+            range_sigma_m=float(sigmas_m[i]) if valid and sigmas_m is not None and math.isfinite(sigmas_m[i]) else None,
         )
     warn([doubt for hand in hands if hand.range_m is not None for doubt in range_doubts(hand.range_m)], stacklevel=4)
     return hands[0], hands[1]

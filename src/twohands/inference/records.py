@@ -5,10 +5,11 @@ Layout::
     {"version": 1, "source": ..., "weights": ..., "config": ..., "hand_length_m": ..., "frames": [
         {"index": 0, "file": ..., "time_s": null,
          "camera": {"fx", "fy", "cx", "cy", "width", "height"},
-         "hands": {"left": H, "right": H}}]}
+         "hands": {"left": H, "right": H}, "between_hands_m": [3], "overlap"}]}
 
     H = {"present", "score", "box_px": [u0, v0, u1, v1], "joints_px": [21][2], "joint_scores": [21],
-         "canonical": [21][3], "joints_m": [21][3], "range_m", "theta_deg", "phi_deg", "key_bone", "method", "valid"}
+         "canonical": [21][3], "joints_m": [21][3], "range_m", "theta_deg", "phi_deg", "key_bone", "method", "valid",
+         "range_sigma_m", "scale_source", "intrinsics_source"}
 
 `config` holds every hand-tuned number behind the results, `WeightsCard.settings`; null where they are not known.
 `file` is the picture's name, null for frames of a video; `index` is its position among all pictures of the source,
@@ -34,6 +35,10 @@ VERSION = 1
 DECIMALS = 6
 """A micrometre, a millionth of a pixel: below anything a measurement can tell."""
 
+_KEYS = tuple(f.name for f in fields(HandPose) if f.name != "side_logit")
+"""Of a hand; what the picture alone says of its side is for the next frame."""
+_NEWER = ("range_sigma_m", "scale_source", "intrinsics_source")
+"""Fields that files from before them lack."""
 _SHAPES: dict[str, tuple[int, ...]] = {
     "box_px": (4,),
     "joints_px": (N_JOINTS, 2),
@@ -75,6 +80,8 @@ def to_dict(
                 "time_s": _number(pose.time_s),
                 "camera": _camera_to_dict(pose.camera),
                 "hands": {"left": _hand_to_dict(pose.left), "right": _hand_to_dict(pose.right)},
+                "between_hands_m": _plain(pose.between_hands_m),
+                "overlap": _number(pose.overlap),
             }
             for pose in poses
         ],
@@ -121,11 +128,11 @@ def _camera_from_dict(record: dict[str, Any]) -> PinholeCamera:
 
 
 def _hand_to_dict(hand: HandPose) -> dict[str, Any]:
-    return {f.name: _plain(getattr(hand, f.name)) for f in fields(HandPose)}
+    return {name: _plain(getattr(hand, name)) for name in _KEYS}
 
 
 def _hand_from_dict(record: dict[str, Any]) -> HandPose:
-    values = {f.name: record[f.name] for f in fields(HandPose)}
+    values: dict[str, Any] = {name: record.get(name) if name in _NEWER else record[name] for name in _KEYS}
     for name, shape in _SHAPES.items():
         if values[name] is not None:
             values[name] = np.array(values[name], np.float64)  # null inside an array becomes NaN

@@ -5,7 +5,7 @@ hands.npz, F frames, axis of hands (LEFT, RIGHT), absent = NaN where the mask sa
     version ()  source () weights ()  hand_length_m ()    camera (6,) fx fy cx cy width height    distortion (0..8,)
     index (F,)  time_s (F,)  files (F,)                   position, seconds, the picture's name ("" in a video)
     present (F, 2)  valid (F, 2)                          bool masks: found; placed in metres
-    score  range_m  theta_deg  phi_deg (F, 2)             confidence 0..1, metres, degrees
+    score  range_m  range_sigma_m  theta_deg  phi_deg (F, 2)   confidence 0..1, metres, degrees
     joints_m (F, 2, 21, 3)  canonical (F, 2, 21, 3)       camera frame, metres; unitless, centred frame
     joints_px (F, 2, 21, 2)  joint_scores (F, 2, 21)  box_px (F, 2, 4)  method (F, 2)
 
@@ -27,13 +27,14 @@ from twohands.types import HandPose, PinholeCamera, TwoHandPose
 
 VERSION: Final = 1
 CSV_COLUMNS: Final = (
-    "frame", "time_s", "file", "hand", "score", "range_m", "valid", "joint", "name", "u_px", "v_px", "joint_score",
-    "x_m", "y_m", "z_m",
+    "frame", "time_s", "file", "hand", "score", "range_m", "range_sigma_m", "valid", "joint", "name", "u_px", "v_px",
+    "joint_score", "x_m", "y_m", "z_m",
 )  # fmt: skip
 
 _PER_HAND: Final[Mapping[str, tuple[int, ...]]] = {
     "score": (),
     "range_m": (),
+    "range_sigma_m": (),
     "theta_deg": (),
     "phi_deg": (),
     "box_px": (4,),
@@ -122,7 +123,7 @@ def _joint_rows(about: tuple[Any, ...], hand: HandPose) -> Iterable[tuple[Any, .
         point = (None, None, None) if hand.joints_m is None else hand.joints_m[joint]
         score = None if hand.joint_scores is None else hand.joint_scores[joint]
         numbers = [_cell(value) for value in (*pixel, score, *point)]
-        yield (*about, _cell(hand.score), _cell(hand.range_m), valid, joint, name, *numbers)
+        yield (*about, _cell(hand.score), _cell(hand.range_m), _cell(hand.range_sigma_m), valid, joint, name, *numbers)
 
 
 def _cell(value: Any) -> str:

@@ -386,7 +386,7 @@ def placed_at_range(hand: HandPose, range_m: float, hand_length_m: float | None)
     joints_m = camera_from_canonical(hand.canonical, hand_length_m, range_m, theta, phi)
     if not (range_m + hand_length_m * hand.canonical[:, 2] > 0).all() or not np.isfinite(joints_m).all():
         return hand
-    return replace(hand, joints_m=joints_m, range_m=range_m, valid=True, method=PREDICTED)
+    return replace(hand, joints_m=joints_m, range_m=range_m, range_sigma_m=None, valid=True, method=PREDICTED)
 
 
 def _hand_length(hand: HandPose) -> float | None:
