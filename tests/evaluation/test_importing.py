@@ -165,6 +165,14 @@ def test_extreme_numbers_are_refused_or_taken_without_numpys_warnings(tmp_path: 
             imported(write(tmp_path / "p.json", content))
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("depth_m", [1e-300, 1e-150, 5e-324])
+def test_a_joint_next_to_the_pinhole_is_far_outside_the_picture(tmp_path: Path, depth_m: float) -> None:
+    content = truth_as_json("joints_m")
+    content["images"][0]["left"]["joints_m"][20][2] = depth_m
+    assert imported(write(tmp_path / "p.json", content)).present[0, LEFT]
+
+
 def test_absurd_numbers_are_named(tmp_path: Path) -> None:
     content = truth_as_json("joints_px")
     content["images"][0]["left"]["joints_px"][7][0] = -1e308

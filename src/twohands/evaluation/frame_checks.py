@@ -93,7 +93,8 @@ class FrameCheck:
                 f"joints_m: x and y are exchanged; {OURS}": _seen(joints_m[:, [1, 0, 2]], camera),
             }
         for name, points_px in candidates.items():
-            distances: FloatArray = np.asarray(np.linalg.norm(points_px - truth_px, axis=-1), np.float64)
+            with np.errstate(over="ignore"):  # of joints next to the pinhole
+                distances: FloatArray = np.asarray(np.linalg.norm(points_px - truth_px, axis=-1), np.float64)
             if np.isfinite(distances).any():
                 error = float(np.nanmean(distances)) / float(np.hypot(camera.width, camera.height))
                 self.errors.setdefault(name, []).append(error)
