@@ -441,6 +441,8 @@ def test_equal_inputs_give_equal_results_and_an_estimator_keeps_no_memory():
     [
         (np.zeros((135, 240), np.uint8), None, 0.1, r"\(H, W, 3\) uint8"),
         (np.zeros((135, 240, 3), np.float32), None, 0.1, "float32"),
+        (None, None, 0.1, "got NoneType; cv2.imread gives None"),
+        ([[[0, 0, 0]]], None, 0.1, "got list"),
         (np.zeros((135, 240, 3), np.uint8), PinholeCamera.ego3dhands(480, 270), 0.1, "480x270"),
         (np.zeros((135, 240, 3), np.uint8), None, 0.0, "hand length"),
         (np.zeros((135, 240, 3), np.uint8), None, float("nan"), "nan"),

@@ -114,6 +114,9 @@ def check_picture(image: np.ndarray, camera: PinholeCamera, hand_length_m: float
     Raises:
         InputError: image, camera and hand length do not fit together.
     """
+    if not isinstance(image, np.ndarray):
+        why = "; cv2.imread gives None for what it cannot read, twohands.read_image says why" if image is None else ""
+        raise InputError(f"image: (H, W, 3) uint8 RGB expected, got {type(image).__name__}{why}")
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
         raise InputError(f"image: (H, W, 3) uint8 RGB expected, got {image.shape} {image.dtype}")
     if (camera.height, camera.width) != image.shape[:2]:
