@@ -63,15 +63,15 @@ def moving_hands(count: int) -> list[np.ndarray]:
 
 
 def lossless_clip(path: Path, frames: list[np.ndarray], times_s: list[float]) -> Path:
-    """A video file that gives the very pixels back."""
+    """A video file that gives the very pixels and times back; a Matroska file would round these to milliseconds."""
     clock = Fraction(1, 1_000_000)
     with av.open(str(path), "w") as container:
-        stream = container.add_stream("ffv1", rate=30)
+        stream = container.add_stream("png", rate=30)
         stream.height, stream.width = frames[0].shape[:2]
-        stream.pix_fmt = "bgr0"
+        stream.pix_fmt = "rgb24"
         stream.codec_context.time_base = clock
         for image, time_s in zip(frames, times_s, strict=True):
-            frame = av.VideoFrame.from_ndarray(image, format="rgb24").reformat(format="bgr0")
+            frame = av.VideoFrame.from_ndarray(image, format="rgb24")
             frame.pts, frame.time_base = round(time_s / clock), clock
             container.mux(stream.encode(frame))
         container.mux(stream.encode())
@@ -214,7 +214,7 @@ def test_joints_on_the_page_are_those_of_track(page, tmp_path):
             told[line["index"]] = line
     count = len(told)
     taken = [parse_picture(message) for message in sent[:count]]
-    clip = lossless_clip(tmp_path / "sent.mkv", [image for _, image in taken], [time_s for time_s, _ in taken])
+    clip = lossless_clip(tmp_path / "sent.mov", [image for _, image in taken], [time_s for time_s, _ in taken])
     out = tmp_path / "track"
     assert main(["track", str(clip), "--out", str(out), "--fov", str(FOV_DEG), "--no-overlay"]) == 0
     _, poses = read_clip(out / "hands.jsonl")
@@ -269,7 +269,7 @@ def test_pages_of_another_site_are_refused_and_the_documented_client_is_let_in(p
 
 def test_the_report_opens_from_disk_and_asks_nobody(page, tmp_path):
     frames = moving_hands(20)
-    clip = lossless_clip(tmp_path / "clip.mkv", frames, [index / 10 for index in range(20)])
+    clip = lossless_clip(tmp_path / "clip.mov", frames, [index / 10 for index in range(20)])
     out = tmp_path / "out"
     assert main(["track", str(clip), "--out", str(out), "--fov", str(FOV_DEG)]) == 0
     _, poses = read_clip(out / "hands.jsonl")
