@@ -15,6 +15,7 @@ from typing import Final
 
 import numpy as np
 
+from twohands.errors import CheckpointError
 from twohands.geometry.camera import unproject
 from twohands.geometry.canonical import camera_from_canonical
 from twohands.geometry.projection import Method, project_global, pull_to_rays, range_weights
@@ -22,7 +23,7 @@ from twohands.geometry.segmentation import HandBoxes
 from twohands.inference.decision import PlacementConfig
 from twohands.inference.keypoints import Keypoints
 from twohands.plausibility import range_doubts, warn
-from twohands.skeleton import PALM
+from twohands.skeleton import N_JOINTS, PALM
 from twohands.types import GlobalPose, HandPose, PinholeCamera
 
 METHOD: Final[Method] = "fitted"
@@ -32,9 +33,16 @@ LEAST_MISFIT: Final = 0.005
 
 
 def lift(network: Callable[[np.ndarray], np.ndarray], keypoints: Keypoints) -> np.ndarray:
-    """Stage 4, PoseNet3D: heatmaps -> canonical joints (B, 21, 3) of the real, unmirrored hands."""
+    """Stage 4, PoseNet3D: heatmaps -> canonical joints (B, 21, 3) of the real, unmirrored hands.
+
+    Raises:
+        CheckpointError: the network answers in another shape.
+    """
     unmirror = np.array([[-1.0 if crop.mirrored else 1.0, 1.0, 1.0] for crop in keypoints.crops])
-    return network(keypoints.heatmaps).astype(np.float64) * unmirror[:, None, :]
+    joints = network(keypoints.heatmaps)
+    if joints.shape != (expected := (len(keypoints.crops), N_JOINTS, 3)):
+        raise CheckpointError(f"pose_net_3d: joints of shape {expected} expected, got {joints.shape}; it is damaged")
+    return joints.astype(np.float64) * unmirror[:, None, :]
 
 
 def place(
