@@ -125,9 +125,12 @@ class LastLook:
 def assign_handedness(evidence: Evidence, config: DecisionConfig) -> Assignment:
     """Which candidate is which hand, before `rescore`: the most probable answer, where every hand counts
     `DecisionConfig.lenience` more than it should."""
-    scores = answer_scores(first_features(evidence), weight_vector(config.first, FIRST_FEATURES))
-    chances = probabilities(scores)
-    sources = np.array(ANSWERS)
+    return best_answer(answer_scores(first_features(evidence), weight_vector(config.first, FIRST_FEATURES)), config)
+
+
+def best_answer(scores: np.ndarray, config: DecisionConfig) -> Assignment:
+    """What `assign_handedness` makes of the scores (7,) of all answers."""
+    chances, sources = probabilities(scores), np.array(ANSWERS)
     best = sources[int(np.argmax(scores + config.lenience * (sources >= 0).sum(axis=1)))]
     logits = log_odds(np.array([chances[sources[:, side] == best[side]].sum() for side in (LEFT, RIGHT)]))
     return Assignment(best, np.where(best >= 0, logits, np.nan))

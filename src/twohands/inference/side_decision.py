@@ -7,13 +7,13 @@ from typing import Final
 
 import numpy as np
 
-from twohands.geometry.segmentation import log_odds
 from twohands.inference.decision import FIRST_FEATURES, DecisionConfig
 from twohands.inference.handedness import (
     ANSWERS,
     Assignment,
     Evidence,
     answer_scores,
+    best_answer,
     first_features,
     probabilities,
     weight_vector,
@@ -35,13 +35,11 @@ def assign_in_clip(evidence: Evidence, config: DecisionConfig, memory: SideMemor
     """
     features, weights = first_features(evidence), weight_vector(config.first, FIRST_FEATURES)
     scores = answer_scores(features, weights) + _side_scores(memory.left_logits(evidence.boxes_px))
-    chances = probabilities(scores)
-    best = _SOURCES[int(np.argmax(scores + config.lenience * (_SOURCES >= 0).sum(axis=1)))]
-    logits = log_odds(np.array([chances[_SOURCES[:, side] == best[side]].sum() for side in (LEFT, RIGHT)]))
+    assignment = best_answer(scores, config)
     weights[_BEFORE] = 0.0
     said = left_logits(probabilities(answer_scores(features, weights)))
-    sides = np.array([SIGNS[side] * said[best[side]] if best[side] >= 0 else np.nan for side in (LEFT, RIGHT)])
-    return Assignment(best, np.where(best >= 0, logits, np.nan)), sides
+    sides = np.where(assignment.source >= 0, SIGNS * said[assignment.source], np.nan)
+    return assignment, sides
 
 
 def left_logits(chances: np.ndarray) -> np.ndarray:
