@@ -5,12 +5,21 @@ import dataclasses
 import numpy as np
 from tests.builders import make_sample
 
+from twohands.skeleton import LEFT, part_label
 from twohands.types import HandSample
 
 
 def sample(seed: int = 0, **options) -> HandSample:
     """A drawn picture; options as `make_sample`."""
     return make_sample(np.random.default_rng(seed), **options)
+
+
+def with_arm(original: HandSample) -> HandSample:
+    """The picture with what is behind its hands in its left third labelled as the left arm."""
+    labels = original.labels.copy()
+    left = labels[:, : labels.shape[1] // 3]
+    left[left == 0] = part_label(LEFT, 0)
+    return dataclasses.replace(original, labels=labels)
 
 
 def mirrored(original: HandSample) -> HandSample:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from tests.builders import make_sample, make_samples
+from tests.training.drawn import with_arm
 from tests.training.tiny import NETWORKS, tiny_run
 
 from twohands.errors import InputError
@@ -17,7 +18,7 @@ from twohands.models.checkpoint import save_network
 from twohands.models.presets import build_network
 from twohands.training.batches import ECHO_GAP, BatchDataset, IndexRange, Joined, pose_batch, segmentation_batch
 from twohands.training.config import AugmentConfig, DataConfig
-from twohands.training.hand_views import cut_at_border, hand_box
+from twohands.training.hand_views import cut_at_border, hand_box, part_without_hands
 from twohands.training.loading import batch_loader, validation_batches
 from twohands.training.pose_targets import Segmentation, crop_matrix, false_hand, shows_other_hand
 from twohands.training.segmenter import Segmenter, segmentation_of
@@ -100,6 +101,23 @@ def test_hands_leave_the_pictures_of_every_stage(stage, make):
     always = dataclasses.replace(plain, augment=AugmentConfig(cut=1.0))
     assert equal(make(SAMPLES, always, generators()), make(cut, plain, rngs))
     assert equal(make(SAMPLES, always, ()), make(SAMPLES, plain, ()))
+
+
+@pytest.mark.parametrize(("stage", "make"), [("hand_seg_net", segmentation_batch), ("pose_net_2d", pose_batch)])
+def test_parts_without_hands_are_pictures_of_every_stage(stage, make):
+    armed = [with_arm(sample) for sample in make_samples(12, present=(True, False))]
+
+    def generators() -> list[np.random.Generator]:
+        return [np.random.default_rng(seed) for seed in range(len(armed))]
+
+    plain, rngs = tiny_run(stage, augment=AugmentConfig()), generators()
+    for rng in rngs:
+        rng.random()  # which says whether to take a part
+    parts = [part_without_hands(sample, rng) for sample, rng in zip(armed, rngs, strict=True)]
+    assert any(part is not sample for part, sample in zip(parts, armed, strict=True))
+    always = dataclasses.replace(plain, augment=AugmentConfig(handless=1.0))
+    assert equal(make(armed, always, generators()), make(parts, plain, rngs))
+    assert equal(make(armed, always, ()), make(armed, plain, ()))
 
 
 def test_random_changes_differ_between_epochs_and_seeds():

@@ -4,11 +4,19 @@ import dataclasses
 
 import numpy as np
 import pytest
-from tests.training.drawn import sample
+from tests.training.drawn import sample, with_arm
 
 from twohands.geometry.camera import project
-from twohands.skeleton import LEFT, RIGHT
-from twohands.training.hand_views import MOST_CUT, boxes_inside, cut_at_border, hand_box
+from twohands.geometry.part_labels import hand_classes
+from twohands.skeleton import LEFT, RIGHT, part_label
+from twohands.training.hand_views import (
+    LEAST_ARM,
+    MOST_CUT,
+    boxes_inside,
+    cut_at_border,
+    hand_box,
+    part_without_hands,
+)
 
 
 def test_hand_box_is_tight_and_clipped_to_the_picture():
@@ -89,3 +97,32 @@ def test_nothing_is_cut_where_no_hand_is_or_it_would_cost_too_much():
     middle = centre + (original.joints_px - original.joints_px.mean(axis=1, keepdims=True)) * 0.05
     far = dataclasses.replace(original, joints_px=middle)
     assert cut_at_border(far, rng) is far
+
+
+def test_a_part_without_hands_shows_an_arm_and_no_hand():
+    original, parts = with_arm(sample(present=(True, False))), []
+    for seed in range(60):
+        part = part_without_hands(original, np.random.default_rng(seed))
+        if part is original:
+            continue
+        parts.append(part)
+        assert (part.camera.height, part.camera.width) == part.image.shape[:2] == part.labels.shape
+        assert not part.present.any()
+        assert set(np.unique(hand_classes(part.labels))) <= {0, LEFT + 1}
+        assert set(np.unique(part.labels)) <= {0, part_label(LEFT, 0)}
+        assert (part.labels > 0).mean() >= LEAST_ARM
+        inside = (part.joints_px >= 0) & (part.joints_px < [part.camera.width, part.camera.height])
+        assert not inside.all(axis=-1).any()
+    assert len(parts) > 8
+    assert len({part.image.shape for part in parts}) > 5
+
+
+def test_no_part_without_hands_where_none_can_be_known():
+    rng = np.random.default_rng(0)
+    original = with_arm(sample(present=(True, False)))
+    bare = sample(present=(False, False))
+    unlabelled = dataclasses.replace(original, labels=None)
+    half = dataclasses.replace(sample(), valid=np.stack([np.ones(21, bool), np.zeros(21, bool)]))
+    armless = dataclasses.replace(original, labels=np.where(original.labels == part_label(LEFT, 0), 0, original.labels))
+    for one in (bare, unlabelled, half, armless):
+        assert part_without_hands(one, rng) is one

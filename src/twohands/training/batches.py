@@ -23,8 +23,8 @@ from twohands.geometry.boxes import box_iou
 from twohands.geometry.part_labels import hand_classes
 from twohands.geometry.segmentation import as_one_hand
 from twohands.skeleton import LEFT, N_JOINTS, RIGHT
-from twohands.training.config import TrainConfig
-from twohands.training.hand_views import cut_at_border, hand_box
+from twohands.training.config import AugmentConfig, TrainConfig
+from twohands.training.hand_views import cut_at_border, hand_box, part_without_hands
 from twohands.training.parallel import share_of_batch
 from twohands.training.pose_targets import (
     PoseTarget,
@@ -124,7 +124,7 @@ def segmentation_batch(samples: Sequence[HandSample], config: TrainConfig, rngs:
         image (B, H, W, 3) uint8, classes (B, H, W) uint8, boxes_px (B, 2, 4) float32, present (B, 2) bool.
     """
     net, augment = config.networks.hand_seg_net, config.augment
-    samples = with_border(samples, augment.cut, rngs)
+    samples = with_parts(samples, augment, rngs)
     targets = [
         segmentation_target(
             sample,
@@ -140,11 +140,19 @@ def segmentation_batch(samples: Sequence[HandSample], config: TrainConfig, rngs:
     return {name: torch.from_numpy(np.stack([getattr(t, name) for t in targets])) for name in names}
 
 
-def with_border(samples: Sequence[HandSample], share: float, rngs: Rngs) -> Sequence[HandSample]:
-    """The pictures, a share of them cut so that a hand is leaving them (`AugmentConfig.cut`)."""
-    if not (rngs and share):
+def with_parts(samples: Sequence[HandSample], augment: AugmentConfig, rngs: Rngs) -> Sequence[HandSample]:
+    """The pictures, a share of them cut so that a hand is leaving them (`AugmentConfig.cut`), another share to a part
+    that shows none (`AugmentConfig.handless`)."""
+    if not rngs or not (augment.cut or augment.handless):
         return samples
-    return [cut_at_border(one, rng) if rng.random() < share else one for one, rng in zip(samples, rngs, strict=True)]
+    return [_part_of(one, augment, rng) for one, rng in zip(samples, rngs, strict=True)]
+
+
+def _part_of(sample: HandSample, augment: AugmentConfig, rng: np.random.Generator) -> HandSample:
+    lot = rng.random()
+    if lot < augment.cut:
+        return cut_at_border(sample, rng)
+    return part_without_hands(sample, rng) if lot < augment.cut + augment.handless else sample
 
 
 def pose_batch(
@@ -171,7 +179,7 @@ def pose_batch(
     """
     size = config.networks.pose_net_2d.crop_size
     judged = config.networks.pose_net_2d.judge
-    samples = with_border(samples, config.augment.cut, rngs)
+    samples = with_parts(samples, config.augment, rngs)
     targets: list[PoseTarget] = []
     lots: list[float] = []
     shares = [config.augment.predicted if any(sample.present) else 1.0 for sample in samples]

@@ -103,6 +103,9 @@ class AugmentConfig:
     stages)."""
     cut: float = 0.0
     """Share of pictures cut so that a hand is leaving them."""
+    handless: float = 0.0
+    """Share of pictures cut to a part without a hand, mostly of the person whose hands they are: arms, shoulders, faces
+    alone are none."""
     mirrored: float = 0.0
     """Share of crops shown mirrored, as hands of the wrong side (pose stages with a judge)."""
     united: float = 0.0

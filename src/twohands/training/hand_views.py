@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from twohands.geometry.boxes import box_from_points, inside_picture
+from twohands.geometry.part_labels import hand_classes
 from twohands.geometry.rotation import rotation_about_z
+from twohands.skeleton import LEFT, RIGHT, part_label
 from twohands.types import HandSample
 
 LEAST_INSIDE = 0.2
@@ -16,6 +18,12 @@ MOST_CUT = 0.4
 """Largest share of a picture's width and height that `cut_at_border` takes away."""
 KEPT = (-0.2, 0.7)
 """Range of the share of a hand's box that it leaves in the picture; below 0 only the arm may be left."""
+HANDLESS = (0.3, 0.9)
+"""Range of the share of a picture's width and height that `part_without_hands` keeps."""
+LEAST_ARM = 0.02
+"""Share of such a part that is an arm."""
+HANDLESS_TRIES = 24
+"""Parts that it looks at."""
 
 
 def hand_box(sample: HandSample, side: int) -> np.ndarray | None:
@@ -82,10 +90,40 @@ def cut_at_border(sample: HandSample, rng: np.random.Generator) -> HandSample:
     if not len(allowed):
         return sample
     end, axis = allowed[rng.integers(len(allowed))]
-    width, height = part = np.ceil(size * (1 - lost[end, axis])).astype(int)
+    part = np.ceil(size * (1 - lost[end, axis])).astype(int)
     corner = rng.integers(0, size - part + 1)
     corner[axis] = 0 if end else (size - part)[axis]
-    (left, top), camera = corner, sample.camera
+    return _part(sample, corner, part)
+
+
+def part_without_hands(sample: HandSample, rng: np.random.Generator) -> HandSample:
+    """A part of a picture that shows an arm, and more of its person, but no hand.
+
+    Returns:
+        A sample with views into the arrays of the given one, as from `cut_at_border`. The given sample if it shows no
+        hand, if not all of its hands are labelled, or if random parts of the picture's shape met no such place.
+    """
+    points = hand_points(sample)
+    unknown = sample.present & np.isnan(points).all(axis=(1, 2))
+    if sample.labels is None or unknown.any() or not np.any(sample.present):
+        return sample
+    size = np.array(sample.image.shape[1::-1])
+    arm = np.isin(sample.labels, (part_label(LEFT, 0), part_label(RIGHT, 0)))
+    hand = (hand_classes(sample.labels) > 0) & ~arm
+    for share in rng.uniform(*HANDLESS, HANDLESS_TRIES):
+        width, height = part = np.ceil(size * share).astype(int)
+        left, top = corner = rng.integers(0, size - part + 1)
+        window = slice(top, top + height), slice(left, left + width)
+        if hand[window].any() or inside_picture(points - corner, width, height).any():
+            continue
+        if arm[window].mean() >= LEAST_ARM:
+            return _part(sample, corner, part)
+    return sample
+
+
+def _part(sample: HandSample, corner: np.ndarray, part: np.ndarray) -> HandSample:
+    """What a picture shows in a part of it, from `corner` (u, v) on, `part` (width, height) pixels large."""
+    (left, top), (width, height), camera = corner, part, sample.camera
     window = slice(top, top + height), slice(left, left + width)
     joints_px = sample.joints_px - corner
     labelled = np.asarray(sample.valid)
