@@ -21,8 +21,8 @@ import numpy as np
 
 from twohands.cli.bench import usable_cores
 from twohands.cli.demo import examples_folder
+from twohands.cli.known import assumed_camera
 from twohands.cli.output import check_output_folder
-from twohands.cli.track import assumed_camera
 from twohands.cli.track_clip import ClipJob, write_clip
 from twohands.errors import TwoHandsError
 from twohands.formats.pictures import list_images, read_image
