@@ -19,7 +19,7 @@ from twohands.geometry.anatomy import HAND_LENGTH
 from twohands.geometry.network_input import letterbox, network_input
 from twohands.inference.engine import load_networks
 from twohands.inference.estimator import HandEstimator
-from twohands.inference.following import Trail
+from twohands.inference.trail import Trail
 from twohands.inference.video import VideoEstimator
 from twohands.inference.weights import preset_folder, read_card
 from twohands.peers.base import by_own_handedness

@@ -27,6 +27,7 @@ from twohands.geometry.heatmaps import encode_heatmaps
 from twohands.geometry.network_input import network_input
 from twohands.geometry.rotation import rotation_about_z
 from twohands.geometry.segmentation import HandBoxes
+from twohands.inference.detection import HandFinder
 from twohands.inference.engine import Networks
 from twohands.inference.estimator import HandEstimator
 from twohands.inference.keypoints import Keypoints, joint_boxes
@@ -37,6 +38,10 @@ from twohands.skeleton import LEFT, RIGHT, ROOT
 from twohands.types import HandPose, HandSample, PinholeCamera
 
 HAND_LENGTH_M = 0.1
+
+
+def finder_of(estimator: HandEstimator, sample: HandSample) -> HandFinder:
+    return HandFinder(estimator.stages, estimator.card, sample.image, sample.camera)
 
 
 @pytest.mark.parametrize("crop_kind", ["square", "perspective"])
@@ -161,7 +166,7 @@ def test_only_a_hand_far_from_its_box_is_looked_at_again():
     estimator = restaged(estimator, crop=lambda *arguments: cut.append(plain_crop(*arguments)) or cut[-1])
     masks = hand_masks(sample)
     rough = HandBoxes(rough_px, np.array([True, True]), np.ones(2))
-    _, boxes, look, _ = estimator.find_hands(sample.image, masks, rough, sample.camera)
+    _, boxes, look, *_ = estimator.find_hands(finder_of(estimator, sample), masks, rough)
     np.testing.assert_array_equal(rough.boxes_px, rough_px)  # named case: boxes that came in were written over
     assert [crop.side for crop in cut] == [LEFT, RIGHT, RIGHT]
     assert look.crops[LEFT] is cut[0] and look.crops[RIGHT] is cut[2]
@@ -722,7 +727,7 @@ def test_a_hand_with_its_joints_nowhere_in_particular_is_none(scores):
 
     estimator = restaged(estimator, locate=unsure, read_out=scored)
     masks, boxes = estimator.segment(sample.image)
-    masks, boxes, look, _ = estimator.find_hands(sample.image, masks, boxes, sample.camera)
+    masks, boxes, look, *_ = estimator.find_hands(finder_of(estimator, sample), masks, boxes)
     there = [True, scores > 0.5]
     assert boxes.present.tolist() == there and look.sides.tolist() == np.flatnonzero(there).tolist()
     assert (boxes.scores > 0.5).tolist() == there and np.isfinite(boxes.boxes_px).all(axis=1).tolist() == there

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from tests.oracles import Oracle, drawn_hands, make_card, restaged
 
-from twohands.inference.following import Trail, expected_joints, followed_boxes, moved_masks, similarity
+from twohands.inference.following import expected_joints, followed_boxes, moved_masks, similarity
+from twohands.inference.trail import Trail
 from twohands.types import HandPose, TwoHandPose
 
 SAMPLE = drawn_hands(1)

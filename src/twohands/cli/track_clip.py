@@ -19,9 +19,9 @@ from twohands.cli.output import check_output_folder
 from twohands.errors import InputError
 from twohands.inference.background import Behind, ahead
 from twohands.inference.clip_files import CSV, JSONL, NPZ, ClipFiles
-from twohands.inference.following import Trail
 from twohands.inference.frames import CameraFrames, Frame, VideoFrames
 from twohands.inference.look_ahead import LookAhead
+from twohands.inference.trail import Trail
 from twohands.inference.video import VideoEstimator
 from twohands.skeleton import SIDES
 from twohands.types import PinholeCamera, TwoHandPose

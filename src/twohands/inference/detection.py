@@ -23,7 +23,11 @@ from twohands.inference.handedness import (
     rescore,
 )
 from twohands.inference.keypoints import Keypoints, cuttable, joint_boxes, mirror_crop
+from twohands.inference.side_decision import assign_in_clip
+from twohands.inference.side_keeping import NOTHING_KNOWN
 from twohands.inference.stages import Stages
+from twohands.inference.trail import Trail
+from twohands.inference.views import with_rolled_views
 from twohands.inference.weights import WeightsCard
 from twohands.skeleton import LEFT, RIGHT
 from twohands.types import HandCrop, PinholeCamera
@@ -37,12 +41,14 @@ class Detection(NamedTuple):
         boxes: of hands, or of candidates.
         keypoints: of those that are present, in the order LEFT, RIGHT.
         side_logits: (2,) log-odds that a hand is of its side and not of the other; None where nobody has said.
+        followed: whether HandSegNet rested; the masks are then those of an earlier frame.
     """
 
     masks: np.ndarray
     boxes: HandBoxes
     keypoints: Keypoints
     side_logits: np.ndarray | None = None
+    followed: bool = False
 
 
 class CandidateViews(NamedTuple):
@@ -74,6 +80,11 @@ class HandFinder:
     camera: PinholeCamera
     keep_masks: bool = False
 
+    @property
+    def size(self) -> tuple[int, int]:
+        """(H, W) of the picture."""
+        return self.image.shape[0], self.image.shape[1]
+
     def crops(
         self, masks: np.ndarray, boxes_px: np.ndarray, sides: np.ndarray, *, estimated: bool = True
     ) -> list[HandCrop]:
@@ -81,6 +92,20 @@ class HandFinder:
         chosen = [cuttable(self.card, box, self.camera) if estimated else box for box in boxes_px[sides]]
         hands = zip(chosen, sides, strict=True)
         return [self.stages.crop(self.image, masks, box, int(side), self.camera) for box, side in hands]
+
+    def decided(self, found: Detection, trail: Trail | None) -> Detection:
+        """The hands that candidates with keypoints are, and where they help seen again.
+
+        Args:
+            found: candidates, each as the hand that HandSegNet took it for.
+            trail: of the clip; None of a picture alone.
+        """
+        before, known = (None, NOTHING_KNOWN) if trail is None else (Before.of(trail.last[-1]), trail.sides)
+        evidence, views = self.evidence(found, before)
+        assignment, side_logits = assign_in_clip(evidence, self.card.decision, known)
+        assigned, changed = self.assigned(found, assignment, views)
+        recropped = self.recropped(assigned._replace(side_logits=side_logits), changed)
+        return self.rescored(recropped, assignment)
 
     def evidence(self, found: Detection, before: Before | None) -> tuple[Evidence, CandidateViews]:
         """What is known of HandSegNet's candidates; PoseNet2D sees them mirrored, or merged, where that may help.
@@ -101,8 +126,7 @@ class HandFinder:
         merged = self._merged(found) if box_iou(*boxes.boxes_px) >= rules.same_place_iou else None
         together = (None, None) if merged is None else (merged.hand_logits, merged.joint_scores.mean(axis=-1))
         maps = boxes.evidence or box_evidence(np.zeros((2, 1, 1)), np.zeros((3, 1, 1)), np.full((2, 4), np.nan), (1, 1))
-        size = self.image.shape[0], self.image.shape[1]
-        known = Evidence(size, boxes.boxes_px, maps, pose, joints, *together, distance, before)
+        known = Evidence(self.size, boxes.boxes_px, maps, pose, joints, *together, distance, before)
         return known, CandidateViews(alone, merged)
 
     def assigned(self, found: Detection, assignment: Assignment, views: CandidateViews) -> tuple[Detection, np.ndarray]:
@@ -123,13 +147,13 @@ class HandFinder:
         """Boxes of the joints; hands whose box is another one then (`recrop_below_iou`), or that are `changed`, (B,)
         bool, are cropped and seen again."""
         keypoints, sides = found.keypoints, found.keypoints.sides
-        boxes = joint_boxed(found.boxes, keypoints, self.image.shape[:2], self.card)
+        boxes = self.joint_boxed(found.boxes, keypoints)
         overlap = box_iou(found.boxes.boxes_px[sides], boxes.boxes_px[sides])
         again = changed | (overlap < self.card.views.recrop_below_iou)
         if again.any():
             second = self.stages.keypoints(self.crops(found.masks, boxes.boxes_px, sides[again]))
             keypoints = keypoints.replaced(np.flatnonzero(again), second)
-            boxes = joint_boxed(found.boxes, keypoints, self.image.shape[:2], self.card)
+            boxes = self.joint_boxed(found.boxes, keypoints)
         return found._replace(boxes=boxes, keypoints=keypoints)
 
     def last_look(self, found: Detection, assignment: Assignment) -> LastLook:
@@ -137,7 +161,7 @@ class HandFinder:
         last, sides = found.keypoints, found.keypoints.sides
         pose, joints, size = np.full((3, 2), np.nan)
         pose[sides], joints[sides] = last.hand_logits, last.joint_scores.mean(axis=-1)
-        size[sides] = box_sizes(found.boxes.boxes_px[sides], self.image.shape[:2])
+        size[sides] = box_sizes(found.boxes.boxes_px[sides], self.size)
         distance = palm_distance(last.joints_px, found.boxes.boxes_px[sides]) if len(sides) == 2 else math.inf
         return LastLook(assignment.source, assignment.logits, pose, joints, size, distance)
 
@@ -154,6 +178,18 @@ class HandFinder:
         masks, boxes = self._answered(found, source, scores)
         return Detection(masks, boxes, found.keypoints.rows(np.flatnonzero(kept[sides])), found.side_logits)
 
+    def rolled(self, found: Detection, canonical: np.ndarray) -> tuple[Keypoints, np.ndarray]:
+        """Keypoints and canonical poses (B, 21, 3) of the hands by all views of them (`with_rolled_views`)."""
+        shown = self.stages, self.card, self.image, found.masks
+        return with_rolled_views(*shown, found.keypoints, canonical, self.camera)
+
+    def joint_boxed(self, boxes: HandBoxes, keypoints: Keypoints) -> HandBoxes:
+        """The boxes of the hands' joints; as they are where there is nothing to see."""
+        boxes_px, smallest_px = boxes.boxes_px.copy(), self.card.views.smallest_box_px
+        sides = keypoints.sides
+        boxes_px[sides] = joint_boxes(keypoints.joints_px, self.size, boxes_px[sides], smallest_px)
+        return replace(boxes, boxes_px=boxes_px)
+
     def _merged(self, found: Detection) -> Keypoints:
         """Both candidates as one hand, LEFT and RIGHT."""
         crops = []
@@ -169,14 +205,6 @@ class HandFinder:
         boxes_px = found.boxes.boxes_px
         masks = found.masks if self.keep_masks else corrected_masks(found.masks, source, boxes_px)
         return masks, HandBoxes(np.where((source >= 0)[:, None], boxes_px[source], np.nan), source >= 0, scores)
-
-
-def joint_boxed(boxes: HandBoxes, keypoints: Keypoints, image_size: tuple[int, int], card: WeightsCard) -> HandBoxes:
-    """The boxes of the hands' joints in a picture of size (H, W); as they are where there is nothing to see."""
-    boxes_px = boxes.boxes_px.copy()
-    smallest_px = card.views.smallest_box_px
-    boxes_px[keypoints.sides] = joint_boxes(keypoints.joints_px, image_size, boxes_px[keypoints.sides], smallest_px)
-    return replace(boxes, boxes_px=boxes_px)
 
 
 def corrected_masks(masks: np.ndarray, source: np.ndarray, boxes_px: np.ndarray) -> np.ndarray:

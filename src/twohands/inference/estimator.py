@@ -12,23 +12,13 @@ from typing import Final
 import numpy as np
 
 from twohands.geometry.segmentation import HandBoxes, certain_masks, parted_masks
-from twohands.inference.detection import Detection, HandFinder, joint_boxed
+from twohands.inference.detection import Detection, HandFinder
 from twohands.inference.engine import Networks, load_networks
-from twohands.inference.following import (
-    DOUBTFUL_SCORE,
-    Trail,
-    expected_joints,
-    followed_assignment,
-    followed_boxes,
-    moved_masks,
-)
-from twohands.inference.handedness import Before
-from twohands.inference.keypoints import given_heatmaps
+from twohands.inference.following import followed_hands
+from twohands.inference.keypoints import NO_KEYPOINTS, given_heatmaps
 from twohands.inference.placement import hand_poses, refine
-from twohands.inference.side_decision import assign_in_clip
-from twohands.inference.side_keeping import NOTHING_KNOWN
 from twohands.inference.stages import NO_TRUTH, Stages, StageTruth, check_picture
-from twohands.inference.views import with_rolled_views
+from twohands.inference.trail import Trail
 from twohands.inference.weights import DEFAULT_PRESET, WeightsCard, preset_folder, read_card
 from twohands.types import HandPose, PinholeCamera, TwoHandPose
 
@@ -92,46 +82,16 @@ class HandEstimator:
             InputError: image, camera and hand length do not fit together.
         """
         check_picture(image, camera, hand_length_m)
+        finder = HandFinder(self.stages, self.card, image, camera, keep_masks=truth.masks is not None)
         trail = Trail.of(previous) if isinstance(previous, TwoHandPose) else previous
+        found = None
         if trail is not None and trail.may_rest and self.card.decides and truth.replaces_nothing:
-            followed = self.follow(image, camera, hand_length_m, trail, index=index, time_s=time_s)
-            if followed is not None:
-                return followed
-        masks, boxes = self.segment(image, truth)
-        left, right = HandPose(present=False), HandPose(present=False)
-        if boxes.present.any():
-            found = self.find_hands(image, masks, boxes, camera, truth, trail)
-            masks = found.masks
-            if found.boxes.present.any():
-                left, right = self.place_hands(image, found, camera, hand_length_m, truth)
-        return TwoHandPose(left, right, camera, certain_masks(masks), index, time_s)
-
-    def follow(
-        self,
-        image: np.ndarray,
-        camera: PinholeCamera,
-        hand_length_m: float | np.ndarray,
-        trail: Trail,
-        *,
-        index: int,
-        time_s: float | None,
-    ) -> TwoHandPose | None:
-        """Stages 2 to 5 of the hands of the last frame, where they should be now; None where HandSegNet is to look."""
-        size = image.shape[0], image.shape[1]
-        expected_px = expected_joints(trail, index if time_s is None else time_s)
-        boxes = followed_boxes(trail, expected_px, size, self.card)
-        if boxes is None:
-            return None
-        finder = HandFinder(self.stages, self.card, image, camera, keep_masks=True)
-        masks = moved_masks(trail, expected_px)
-        crops = finder.crops(masks, boxes.boxes_px, np.flatnonzero(boxes.present))
-        found = finder.recropped(Detection(masks, boxes, self.stages.keypoints(crops)))
-        found = finder.rescored(found, followed_assignment(trail, boxes.present))
-        doubtful = found.boxes.scores < DOUBTFUL_SCORE
-        if (boxes.present & (doubtful | ~found.boxes.present)).any():
-            return None
-        left, right = self.place_hands(image, found, camera, hand_length_m)
-        return TwoHandPose(left, right, camera, None, index, time_s, followed=True)
+            found = followed_hands(finder, trail, index if time_s is None else time_s)
+        if found is None:
+            found = self.find_hands(finder, *self.segment(image, truth), truth, trail)
+        left, right = self.place_hands(finder, found, hand_length_m, truth)
+        masks = None if found.followed else certain_masks(found.masks)
+        return TwoHandPose(left, right, camera, masks, index, time_s, followed=found.followed)
 
     def segment(self, image: np.ndarray, truth: StageTruth = NO_TRUTH) -> tuple[np.ndarray, HandBoxes]:
         """Stage 1: masks (H, W), and boxes of the candidates."""
@@ -146,17 +106,17 @@ class HandEstimator:
 
     def find_hands(
         self,
-        image: np.ndarray,
+        finder: HandFinder,
         masks: np.ndarray,
         boxes: HandBoxes,
-        camera: PinholeCamera,
         truth: StageTruth = NO_TRUTH,
         trail: Trail | None = None,
     ) -> Detection:
         """Stages 2 and 3: keypoints of every candidate, whose hands they are, and a second crop where it helps. True
         boxes, maps or joints need one crop; a true `present` needs no decision."""
-        finder = HandFinder(self.stages, self.card, image, camera, keep_masks=truth.masks is not None)
         sides, known_boxes = np.flatnonzero(boxes.present), truth.boxes_px is not None
+        if not len(sides):
+            return Detection(masks, boxes, NO_KEYPOINTS)
         crops = finder.crops(masks, boxes.boxes_px, sides, estimated=not known_boxes)
         maps = None if truth.heatmaps is None else given_heatmaps(self.card, truth.heatmaps, crops)
         found = Detection(masks, boxes, self.stages.keypoints(crops, maps).corrected(truth.joints_px))
@@ -164,33 +124,25 @@ class HandEstimator:
             return found
         if truth.present is not None or not self.card.decides:
             return finder.recropped(found)
-        evidence, views = finder.evidence(found, None if trail is None else Before.of(trail.last[-1]))
-        known = NOTHING_KNOWN if trail is None else trail.sides
-        assignment, side_logits = assign_in_clip(evidence, self.card.decision, known)
-        assigned, changed = finder.assigned(found, assignment, views)
-        assigned = assigned._replace(side_logits=side_logits)
-        return finder.rescored(finder.recropped(assigned, changed), assignment)
+        return finder.decided(found, trail)
 
     def place_hands(
-        self,
-        image: np.ndarray,
-        found: Detection,
-        camera: PinholeCamera,
-        hand_length_m: float | np.ndarray,
-        truth: StageTruth = NO_TRUTH,
+        self, finder: HandFinder, found: Detection, hand_length_m: float | np.ndarray, truth: StageTruth = NO_TRUTH
     ) -> tuple[HandPose, HandPose]:
         """Stages 4 and 5: lift, place; with nothing known, from all views of the hands, and where they likely are."""
         keypoints, boxes, sides = found.keypoints, found.boxes, found.keypoints.sides
+        if not len(sides):
+            return HandPose(present=False), HandPose(present=False)
         canonical = self.stages.lift(keypoints) if truth.canonical is None else truth.canonical[sides]
         lengths_m = np.broadcast_to(hand_length_m, (2,))[sides]
         estimated = truth.heatmaps is None and truth.joints_px is None and truth.canonical is None
         if estimated and self.card.views.tta_rolls_deg:
-            shown = self.stages, self.card, image, found.masks
-            keypoints, canonical = with_rolled_views(*shown, keypoints, canonical, camera)
+            keypoints, canonical = finder.rolled(found, canonical)
             if truth.boxes_px is None:
-                boxes = joint_boxed(boxes, keypoints, image.shape[:2], self.card)
-        placed = self.stages.place(canonical, keypoints.joints_px, keypoints.joint_scores, camera, lengths_m)
+                boxes = finder.joint_boxed(boxes, keypoints)
+        placed = self.stages.place(canonical, keypoints.joints_px, keypoints.joint_scores, finder.camera, lengths_m)
         sigmas_m = None
         if estimated:
-            canonical, placed, sigmas_m = refine(self.card.placement, canonical, keypoints, camera, lengths_m, placed)
+            refined = refine(self.card.placement, canonical, keypoints, finder.camera, lengths_m, placed)
+            canonical, placed, sigmas_m = refined
         return hand_poses(boxes, keypoints, canonical, placed, found.side_logits, sigmas_m)

@@ -6,7 +6,7 @@ PoseNet2D looks there; the card's last decision says whether it is still the han
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Final
 
 import cv2
@@ -14,10 +14,11 @@ import numpy as np
 
 from twohands.geometry.boxes import box_iou
 from twohands.geometry.segmentation import HandBoxes, log_odds
+from twohands.inference.detection import Detection, HandFinder
 from twohands.inference.handedness import Assignment
 from twohands.inference.keypoints import in_sight, joint_boxes
 from twohands.inference.leaving import LONGEST_STEP
-from twohands.inference.side_keeping import NOTHING_KNOWN, SideMemory
+from twohands.inference.trail import Trail
 from twohands.inference.weights import WeightsCard
 from twohands.skeleton import LEFT, N_JOINTS, RIGHT
 from twohands.types import HandPose, TwoHandPose
@@ -25,34 +26,34 @@ from twohands.types import HandPose, TwoHandPose
 REST_FRAMES: Final = 1
 """For so many frames in a row HandSegNet may rest: the older the masks, the worse PoseNet2D's crops (docs/history/
 journal.md, *Hands followed without segmentation*)."""
-DOUBTFUL_SCORE: Final = 0.5
-"""Score of a followed hand below which HandSegNet is to look: it is no hand, by the card's last decision."""
 _COARSE: Final = 4
 """Masks of followed hands have a cell for so many pixels a side."""
 _WIDER: Final = 2
 """Cells by which they are wider: 1 and 4 are worse (docs/history/journal.md, *Hands followed without segmentation*)."""
 
 
-@dataclass(frozen=True, slots=True)
-class Trail:
-    """What a clip has shown so far.
+def followed_hands(finder: HandFinder, trail: Trail, time: float) -> Detection | None:
+    """Stages 2 and 3 of the hands of the last frame, where they should be now.
 
-    Attributes:
-        last: its last frames, newest last, one or two.
-        seen: the last frame that HandSegNet saw.
-        may_rest: whether HandSegNet may rest in the frame that comes.
-        sides: what is known of the hands' sides.
+    Args:
+        finder: of the picture.
+        trail: of the clip.
+        time: of the frame, on the clip's clock: `TwoHandPose.time_s`, or `index` where that is None.
+
+    Returns:
+        None where HandSegNet is to look: no hand can be followed (`followed_boxes`), or one is less likely a hand than
+        none, by the card's last decision.
     """
-
-    last: tuple[TwoHandPose, ...]
-    seen: TwoHandPose
-    may_rest: bool = False
-    sides: SideMemory = NOTHING_KNOWN
-
-    @classmethod
-    def of(cls, pose: TwoHandPose) -> Trail:
-        """Of a clip of which one frame is known."""
-        return cls((pose,), pose)
+    finder, expected_px = replace(finder, keep_masks=True), expected_joints(trail, time)
+    boxes = followed_boxes(trail, expected_px, finder.size, finder.card)
+    if boxes is None:
+        return None
+    masks = moved_masks(trail, expected_px)
+    crops = finder.crops(masks, boxes.boxes_px, np.flatnonzero(boxes.present))
+    found = finder.recropped(Detection(masks, boxes, finder.stages.keypoints(crops)))
+    found = finder.rescored(found, followed_assignment(trail, boxes.present))
+    doubtful = ~found.boxes.present | (found.boxes.scores < 0.5)
+    return None if (boxes.present & doubtful).any() else found._replace(followed=True)
 
 
 def expected_joints(trail: Trail, time: float) -> np.ndarray:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
@@ -84,6 +85,12 @@ class Keypoints:
 
     def _arrays(self) -> tuple[np.ndarray, ...]:
         return self.heatmaps, self.joints_px, self.joint_scores, self.hand_logits
+
+
+NO_KEYPOINTS: Final = Keypoints(
+    [], np.zeros((0, N_JOINTS, 1, 1)), np.zeros((0, N_JOINTS, 2)), np.zeros((0, N_JOINTS)), np.zeros(0)
+)
+"""Of a picture without a candidate."""
 
 
 def crop_hand(

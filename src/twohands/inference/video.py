@@ -10,10 +10,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from twohands.errors import InputError
-from twohands.inference.following import REST_FRAMES, Trail
+from twohands.inference.following import REST_FRAMES
 from twohands.inference.leaving import CARRIED_FRAMES
 from twohands.inference.side_keeping import SideKeeper
 from twohands.inference.tracker import DEFAULT_SMOOTHING, HandTracker, RangeSmoothing
+from twohands.inference.trail import Trail
 from twohands.types import TwoHandPose
 
 Estimate = Callable[[Trail | None], TwoHandPose]

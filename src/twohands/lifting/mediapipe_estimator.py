@@ -7,7 +7,7 @@ from types import TracebackType
 
 import numpy as np
 
-from twohands.inference.following import Trail
+from twohands.inference.trail import Trail
 from twohands.lifting.foreign import ForeignFrame, ForeignHand, ForeignHands
 from twohands.lifting.placing import place_hands
 from twohands.peers.base import by_own_handedness

@@ -10,7 +10,7 @@ import numpy as np
 
 from twohands.errors import InputError
 from twohands.inference.clip_files import frame_line, header_line
-from twohands.inference.following import Trail
+from twohands.inference.trail import Trail
 from twohands.inference.video import VideoEstimator
 from twohands.live.messages import Settings
 from twohands.types import PinholeCamera, TwoHandPose

@@ -19,8 +19,8 @@ from twohands.geometry.canonical import canonical_from_camera
 from twohands.geometry.heatmaps import encode_heatmaps
 from twohands.geometry.part_labels import hand_classes
 from twohands.inference.estimator import HandEstimator
-from twohands.inference.following import Trail
 from twohands.inference.stages import StageTruth
+from twohands.inference.trail import Trail
 from twohands.types import HandSample, TwoHandPose
 
 Stage = Literal["presence", "masks", "boxes", "joints-2d", "heatmaps", "canonical"]

@@ -16,8 +16,8 @@ from twohands.datasets.opening import OpenedDataset
 from twohands.errors import InputError
 from twohands.evaluation.predictions import Predictions, predict
 from twohands.inference.estimator import HandEstimator
-from twohands.inference.following import Trail
 from twohands.inference.leaving import CARRIED_FRAMES
+from twohands.inference.trail import Trail
 from twohands.inference.video import VideoEstimator
 from twohands.inference.weights import DEFAULT_PRESET, preset_folder, weights_id
 from twohands.peers.base import Handedness
