@@ -65,16 +65,28 @@ def opened(options: argparse.Namespace) -> Callable[[int], bool]:
         cache = FrameCache(folder, backgrounds, variants=20)
         single = np.flatnonzero(np.load(folder / "present.npy").sum(axis=1) == 1)
         frames.append((cache, single))
-    return partial(_mine, options, estimator, backgrounds, frames)
+    return partial(mined, options, estimator, backgrounds, frames)
 
 
-def _mine(
+def mined(
     options: argparse.Namespace,
     estimator: HandEstimator,
     backgrounds: Kept,
     frames: list[tuple[FrameCache, np.ndarray]],
     number: int,
 ) -> bool:
+    """Looks at one background, and writes it where HandSegNet sees a hand that is none.
+
+    Args:
+        options: the seed, and the folder to write to.
+        estimator: looks.
+        backgrounds: where it comes from.
+        frames: caches, and in each the frames with a single hand; every odd number puts one before the background.
+        number: of the background.
+
+    Returns:
+        Whether it was written.
+    """
     rng = np.random.default_rng([options.seed, number])
     if number % 2 and frames:
         cache, single = frames[rng.integers(len(frames))]

@@ -32,6 +32,12 @@ def test_every_frame_comes_once_and_in_order():
     assert [pose.left.present for pose in known] == [pose.left.present for pose in poses]
 
 
+def test_all_else_of_a_frame_stays():
+    """Named case: whether hands were followed was forgotten."""
+    poses = [replace(at_range(i, 0.4), followed=i % 2 == 1) for i in range(10)]
+    assert [pose.followed for pose in through(LookAhead(0.1), poses)] == [i % 2 == 1 for i in range(10)]
+
+
 def test_frames_are_held_back_for_as_long_as_said():
     look = LookAhead(0.1)
     held = [len(look.push(at_range(i, 0.4))) for i in range(10)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
@@ -86,6 +87,11 @@ def metric_from_dict(content: dict[str, Any]) -> Metric:
     """A metric from JSON values; None becomes NaN."""
     known: dict[str, Any] = content | ({"value": math.nan} if content["value"] is None else {})
     return Metric(**known)
+
+
+def json_values(metrics: Mapping[str, Metric]) -> dict[str, float | None]:
+    """The numbers alone, by key, as JSON has them: NaN becomes None."""
+    return {key: _json_number(metric.value) for key, metric in metrics.items()}
 
 
 def table_row(metric: Metric) -> tuple[str, str, str, str, str, str]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
 
@@ -75,7 +76,7 @@ class LookAhead:
         left, right = (
             _moved(hand, times, np.array([ranges[side] for _, ranges in near])) for side, hand in enumerate(pose.hands)
         )
-        return TwoHandPose(left, right, pose.camera, pose.masks, pose.index, pose.time_s)
+        return replace(pose, left=left, right=right)
 
 
 def line_at_zero(times: np.ndarray, values: np.ndarray, reach: float) -> float:

@@ -19,7 +19,7 @@ from twohands.evaluation.comparison import DEFAULT_PROTOCOL, Protocol, compare, 
 from twohands.evaluation.completion import hand_lengths_m
 from twohands.evaluation.predictions import Predictions, predict
 from twohands.evaluation.protocols import metrics_of
-from twohands.evaluation.report import Metric
+from twohands.evaluation.report import Metric, json_values
 from twohands.geometry.projection import Method, project_global, range_weights
 from twohands.studies.ground_truth import Stage
 from twohands.types import HandSample, PinholeCamera, TwoHandPose
@@ -128,13 +128,7 @@ class Budget:
                     "truth": list(row.study.truth),
                     "against": row.study.against,
                     "stage": row.study.stage,
-                    "metrics": {
-                        method: {
-                            key: None if np.isnan(metric.value) else metric.value
-                            for key, metric in row.metrics[method].items()
-                        }
-                        for method in METHODS
-                    },
+                    "metrics": {method: json_values(row.metrics[method]) for method in METHODS},
                 }
                 for row in self.rows
             ],

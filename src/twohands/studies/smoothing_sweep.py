@@ -18,7 +18,7 @@ from twohands.errors import InputError
 from twohands.evaluation.comparison import Protocol, compare, sequences, without_picture
 from twohands.evaluation.predictions import Predictions
 from twohands.evaluation.protocols import metrics_of
-from twohands.evaluation.report import Metric
+from twohands.evaluation.report import Metric, json_values
 from twohands.inference.tracker import DEFAULT_SMOOTHING, HandTracker, RangeSmoothing
 from twohands.types import HandSample, TwoHandPose
 
@@ -88,9 +88,7 @@ class Sweep:
                     "length": row.length,
                     "degree": row.degree,
                     "fade": row.fade,
-                    "metrics": {
-                        key: None if np.isnan(metric.value) else metric.value for key, metric in row.metrics.items()
-                    },
+                    "metrics": json_values(row.metrics),
                 }
                 for row in self.rows
             ],
