@@ -8,12 +8,12 @@ import pytest
 from twohands.errors import InputError
 from twohands.geometry.camera import project
 from twohands.synth.scene import gestures, views, whole_people
-from twohands.synth.scene.body import bone
+from twohands.synth.scene.body import bone, posed_joints
 from twohands.synth.scene.config import PEOPLE, PEOPLE_VIEWS, WILD, SynthConfig
 from twohands.synth.scene.figures import figure, sample_posture
 from twohands.synth.scene.posed_arms import pose_arms
 from twohands.synth.scene.sampling import inside_image
-from twohands.synth.scene.spec import moved
+from twohands.synth.scene.spec import arms_of, moved
 from twohands.synth.scene.views import quarter_turns, sample_viewpoint
 from twohands.synth.scene.wardrobe import sample_someone
 from twohands.synth.sets.instances import sample_scene
@@ -70,6 +70,18 @@ def test_other_people_are_smaller_in_the_picture():
     for scene in crowds:
         first, *others = (person.view[2, 3] for person in scene.people)
         assert all(depth > first for depth in others)
+
+
+def test_nobody_shows_hands_that_have_no_labels(monkeypatch):
+    """But for pockets: networks learnt from such pictures that hands of people farther off are none."""
+    monkeypatch.setattr(whole_people, "OTHERS", (0.0, 0.5, 0.5))
+    monkeypatch.setattr(whole_people, "DOING", (0.5, 0.5, 0.0))
+    scenes = [sample_scene(dataclasses.replace(CONFIG, people_views=("webcam",)), 8, i) for i in range(20)]
+    others = [(scene, person) for scene in scenes for person in scene.people[1:]]
+    assert len(others) > 3
+    for scene, person in others:
+        joints = posed_joints(arms_of(tuple(person.shape.tolist())), person.arms) * person.scale
+        assert not inside_image(joints[:, 1:], scene.camera, 0.0).any()
 
 
 def test_no_hand_is_inside_its_own_body():

@@ -12,7 +12,7 @@ import numpy as np
 
 from twohands.errors import InputError
 from twohands.skeleton import LEFT, RIGHT
-from twohands.synth.scene import props
+from twohands.synth.scene import gestures, props
 from twohands.synth.scene.appearance import sample_lighting
 from twohands.synth.scene.body import BONE_NAMES, Body
 from twohands.synth.scene.config import SynthConfig
@@ -34,11 +34,14 @@ MIN_INSIDE: Final = 6
 """So many of a hand's 21 joints lie in the picture, or the hand is absent."""
 OTHERS: Final = (0.78, 0.17, 0.05)
 """Shares of pictures with no, one and two more people."""
+DOING: Final = (0.35, 0.25, 0.4)
+"""Shares of their hands that rest, show something, and are in a pocket."""
+POCKETED: Final = ((gestures.in_pocket, 1.0),)
 HANDLESS: Final = 0.1
 """Share of pictures of people who show no hand on purpose; some rest in the picture all the same."""
 MOVING: Final = 0.3
 """Share of pictures in which arms move during the exposure."""
-TURNS_RAD: Final = (0.03, 0.4)
+TURNS_RAD: Final = (0.03, 0.2)
 """Typical turns of a forearm during it."""
 
 
@@ -190,7 +193,8 @@ def _held(
 def _others(
     config: SynthConfig, viewpoint: Viewpoint, scale: float, rng: np.random.Generator
 ) -> tuple[PersonSpec, ...]:
-    """People behind and beside the first one, smaller in the picture."""
+    """People behind and beside the first one, smaller in the picture, whose hands nobody sees: hands without labels
+    would teach that hands of people farther off are none."""
     count = int(rng.choice(3, p=OTHERS))
     if viewpoint.style in ("above", "shoulder"):
         count = 0
@@ -207,12 +211,19 @@ def _others(
         view = after(viewpoint.view, np.c_[turn @ posture.lean, place])
         resting = SITTING if posture.seated else STANDING
         for _ in range(6):
-            left, right = (choose(rng, resting if rng.random() < 0.6 else SHOWING) for _ in (LEFT, RIGHT))
+            options = (resting, SHOWING, POCKETED)
+            left, right = (choose(rng, options[rng.choice(3, p=DOING)]) for _ in (LEFT, RIGHT))
             arms = pose_arms(person, posture, (left, right), (False, False), view, viewpoint, config, rng)
-            if arms is not None:
+            if arms is not None and not _sees_hand(arms, view, viewpoint):
                 look = sample_look(rng, person.someone)
                 transforms = viewed(view, arms.transforms)
                 shape = person.someone.shape
                 people.append(PersonSpec(look, shape, transforms, arms.turns, view, scale, np.ones(2, bool)))
                 break
     return tuple(people)
+
+
+def _sees_hand(arms: PosedArms, view: np.ndarray, viewpoint: Viewpoint) -> bool:
+    """Whether a hand that is not in a pocket has a joint in the picture."""
+    inside = inside_image(moved(view, arms.joints[:, 1:]), viewpoint.camera, 0.0).any(axis=1)
+    return bool((inside & (np.array(arms.doing) != gestures.in_pocket.__name__)).any())
