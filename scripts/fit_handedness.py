@@ -5,8 +5,9 @@
         --digits ../shared/data/real_train/digits --cache out/fast_evidence.npz
 
 PEOPLE, WILD and PAPER are made by `twohands generate frames` with seeds that no network was trained on; of the digits,
-those for training are taken; of the photographs, `--photographs` without hands. Every other picture of frames also
-comes as a video's next one: moved a little, with the answer for the picture before it known.
+those for training are taken; of the photographs, `--photographs` without hands. Some frames also come as a part of
+them with an arm and no hand, and every other picture as a video's next one: moved a little, with the answer for the
+picture before it known.
 
 With `--judges`, the pose networks of other weights look at the same candidates, too. Networks know the pictures that
 they learned from, and generated ones like them, better than anyone's camera: who trusts PoseNet2D as much as it is
@@ -71,6 +72,8 @@ PENALTY: Final = 10.0
 FOLDS: Final = 5
 PHOTOGRAPH: Final = (640, 360)
 SAVED_EVERY: Final = 25
+HANDLESS_STEP: Final = 3
+"""Of so many frames one is looked at once more, in a part that shows an arm and no hand."""
 MOVED: Final = (0.02, 0.02, 2.0)
 """Standard deviations from one picture to the next: shift as a share of the width, scale, roll in degrees."""
 BINS: Final = (0.0, 0.05, 0.2, 0.5, 0.8, 0.95, 0.99, 1.0)
@@ -184,6 +187,7 @@ def planned(options: argparse.Namespace) -> list[tuple[str, Callable[[], HandSam
     """
     from twohands.synth.sets.cache import FrameCache
     from twohands.training.config import DataConfig, folder_list
+    from twohands.training.hand_views import part_without_hands
     from twohands.training.sources import backgrounds_of
 
     plan: list[tuple[str, Callable[[], HandSample]]] = []
@@ -192,6 +196,8 @@ def planned(options: argparse.Namespace) -> list[tuple[str, Callable[[], HandSam
         count = min(options.count, frame_count(folder))
         cache = FrameCache(folder, behind, frames=(0, count))
         plan += [(folder.name, partial(cache.__getitem__, i)) for i in range(count)]
+        parts = [part_without_hands(cache[i], np.random.default_rng(i)) for i in range(0, count, HANDLESS_STEP)]
+        plan += [(f"{folder.name}, no hand", partial(_same, part)) for part in parts if not np.any(part.present)]
     if options.digits is not None:
         digits = Digits(options.digits, "training")
         numbers = np.linspace(0, len(digits) - 1, min(options.digits_count, len(digits))).astype(int)
@@ -202,6 +208,10 @@ def planned(options: argparse.Namespace) -> list[tuple[str, Callable[[], HandSam
     if not plan:
         raise InputError("no pictures: name --frames, --digits or --backgrounds")
     return [plan[i] for i in np.random.default_rng(options.seed).permutation(len(plan))]
+
+
+def _same(sample: HandSample) -> HandSample:
+    return sample
 
 
 def frame_count(folder: Path) -> int:
