@@ -19,7 +19,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from twohands.synth.production.executors import LocalProcesses
+from twohands.executors.local import LocalProcesses
 from twohands.synth.render.raster import RasterRenderer
 from twohands.synth.scene.config import PRESETS, SynthConfig
 from twohands.synth.sets.instances import sample_scene

@@ -20,11 +20,11 @@ import numpy as np
 
 from twohands.cli.output import check_output_folder
 from twohands.errors import TwoHandsError
+from twohands.executors.local import LocalProcesses
 from twohands.geometry.boxes import box_iou
 from twohands.inference.estimator import HandEstimator
 from twohands.skeleton import LEFT, RIGHT
 from twohands.synth.backgrounds.base import Background, Backgrounds
-from twohands.synth.production.executors import LocalProcesses
 from twohands.synth.sets.cache import FrameCache
 from twohands.training.batches import ONE_HAND_IOU
 from twohands.training.config import DataConfig, folder_list

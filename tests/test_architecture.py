@@ -15,7 +15,7 @@ PACKAGE = Path(twohands.__file__).parent
 ROOT = Path(__file__).parents[1]
 
 STOREYS = [
-    {"types", "skeleton", "errors", "files", "formats", "plausibility", "version"},
+    {"types", "skeleton", "errors", "files", "formats", "plausibility", "version", "executors"},
     {"geometry"},
     {"synth", "datasets", "models", "evaluation"},
     {"training", "inference", "peers"},

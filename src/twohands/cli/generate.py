@@ -24,7 +24,7 @@ from twohands.synth.scene.motion import MotionConfig
 from twohands.types import PinholeCamera
 
 if TYPE_CHECKING:
-    from twohands.synth.production.executors import Executor
+    from twohands.executors.base import Executor
     from twohands.synth.production.produce import Outcome, Plan, Production
 
 FRAME_STEP = 16
@@ -124,14 +124,14 @@ def executor_of(args: GenerateArgs, production: Production) -> Executor:
         InputError: nothing answers at the address of the Ray cluster.
     """
     if args.engine == "ray":
-        from twohands.synth.production.ray_cluster import RayCluster
+        from twohands.executors.ray_cluster import RayCluster
 
         workers = workers_of(args) if args.renderer == "blender" else args.workers
         cluster = RayCluster(args.ray_address, workers, production.made_with)
         cluster.check()
         return cluster
 
-    from twohands.synth.production.executors import LocalProcesses
+    from twohands.executors.local import LocalProcesses
 
     return LocalProcesses(workers_of(args))
 

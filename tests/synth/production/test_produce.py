@@ -13,10 +13,10 @@ from tests.synth.production.fake_production import FakeSet
 
 from twohands import files
 from twohands.errors import InputError, MissingExtraError
+from twohands.executors.local import LocalProcesses
 from twohands.formats.instance_index import digest, parse_index
 from twohands.synth.production import produce as production_module
 from twohands.synth.production import sinks
-from twohands.synth.production.executors import LocalProcesses, ordered
 from twohands.synth.production.produce import Outcome, Plan, produce
 
 HERE = LocalProcesses(1)
@@ -277,15 +277,6 @@ def test_manifest_lists_every_environment_that_wrote(tmp_path, monkeypatch):
     make(tmp_path / "set", count=3)
     make(tmp_path / "set", count=4)
     assert json.loads((tmp_path / "set" / "manifest.json").read_text())["made_with"] == [{"fake": "1"}, {"fake": "2"}]
-
-
-def test_results_come_in_order_with_few_in_flight():
-    started: list[int] = []
-    results = []
-    for result in ordered(lambda i: started.append(i) or i, lambda ticket: ticket, range(30), workers=2):
-        results.append(result)
-        assert len(started) <= len(results) + 8
-    assert results == list(range(30))
 
 
 def test_errors_of_workers_arrive_whole():

@@ -23,10 +23,10 @@ from tests.synth.production.fake_production import FakeSet, make
 from tests.synth.production.test_produce import contents
 
 from twohands.cli.main import main
-from twohands.errors import InputError, MissingExtraError, RendererError, TwoHandsError
-from twohands.synth.production.executors import LocalProcesses
+from twohands.errors import InputError, MissingExtraError, TwoHandsError
+from twohands.executors.local import LocalProcesses
+from twohands.executors.ray_cluster import RayCluster, import_ray
 from twohands.synth.production.produce import Made, produce
-from twohands.synth.production.ray_cluster import RayCluster, import_ray
 from twohands.synth.scene.config import SynthConfig
 from twohands.synth.sets.static import StaticSet
 
@@ -123,7 +123,7 @@ def test_engine_and_address_go_together(tmp_path, capsys):
 
 
 def test_an_address_without_a_cluster_is_one_line(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("twohands.synth.production.ray_cluster.import_ray", lambda: None)
+    monkeypatch.setattr("twohands.executors.ray_cluster.import_ray", lambda: None)
     with socket.socket() as unused:
         unused.bind(("127.0.0.1", 0))  # taken, but not listening
         address = f"127.0.0.1:{unused.getsockname()[1]}"
@@ -132,6 +132,24 @@ def test_an_address_without_a_cluster_is_one_line(tmp_path, capsys, monkeypatch)
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 1 and f"no Ray cluster answers at '{address}'" in lines[0], lines
     assert not (tmp_path / "set").exists()
+
+
+def test_a_cluster_that_does_not_start_is_one_line(tmp_path, capsys, monkeypatch):
+    """Named case: on a machine with too much to do Ray gives up with a plain Exception."""
+
+    class SlowRay:
+        @staticmethod
+        def is_initialized():
+            return False
+
+        @staticmethod
+        def init(**_):
+            raise Exception("The current node timed out during startup.")
+
+    monkeypatch.setattr("twohands.executors.ray_cluster.import_ray", lambda: SlowRay)
+    assert main(["generate", "static", "--engine", "ray", "--out", str(tmp_path / "set")]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1 and "no Ray cluster could be started: The current node timed out" in lines[0], lines
 
 
 @needs_ray
@@ -163,7 +181,7 @@ def test_errors_of_workers_arrive_as_they_were(cluster):
 
 @needs_ray
 def test_a_machine_that_makes_other_bytes_is_refused(cluster):
-    with pytest.raises(RendererError, match=r"other bytes .*renderer is process \d+ there, process \d+ here"):
+    with pytest.raises(InputError, match=r"other bytes .*renderer is process \d+ there, process \d+ here"):
         list(RayCluster(made_with=_made_with_pid).run(_open_pid, [0]))
 
 

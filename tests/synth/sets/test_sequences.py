@@ -11,8 +11,8 @@ import pytest
 from twohands.datasets.ego3dhands import Ego3DHands, read_instance
 from twohands.datasets.inspection.inspect import inspect_dataset
 from twohands.errors import InputError
+from twohands.executors.local import LocalProcesses
 from twohands.geometry.camera import project
-from twohands.synth.production.executors import LocalProcesses
 from twohands.synth.production.produce import produce
 from twohands.synth.scene.body import load_asset, posed_joints
 from twohands.synth.scene.config import WILD, SynthConfig

@@ -13,10 +13,10 @@ import pytest
 from twohands.datasets.ego3dhands import Ego3DHands, read_instance
 from twohands.datasets.inspection.inspect import inspect_dataset
 from twohands.errors import DataFormatError, InputError, TwoHandsError
+from twohands.executors.local import LocalProcesses
 from twohands.geometry.canonical import canonical_from_camera
 from twohands.skeleton import ROOT
 from twohands.synth.backgrounds.base import Background
-from twohands.synth.production.executors import LocalProcesses
 from twohands.synth.scene.config import WILD, SynthConfig
 from twohands.synth.sets.cache import FrameCache, build_cache
 from twohands.synth.sets.instances import sample_scene

@@ -1,1 +1,1 @@
-"""Long runs that may be killed at any moment: who does the work, and where it is written."""
+"""Long runs that may be killed at any moment: what is made, and where it is written."""

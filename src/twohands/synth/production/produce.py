@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal, Protocol
 
 from twohands.errors import InputError
-from twohands.synth.production.executors import Executor
+from twohands.executors.base import Executor
 from twohands.synth.production.manifest import claimed_folder
 from twohands.synth.production.sinks import FolderSink, ShardSink, Sink
 

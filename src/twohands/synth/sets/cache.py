@@ -17,13 +17,13 @@ import cv2
 import numpy as np
 
 from twohands.errors import DataFormatError, InputError
+from twohands.executors.local import LocalProcesses
 from twohands.files import appearing
 from twohands.formats.instance_index import MANIFEST_FILE
 from twohands.geometry.camera import project
 from twohands.synth.backgrounds.base import Backgrounds
 from twohands.synth.backgrounds.behind import room_behind
 from twohands.synth.backgrounds.procedural import ProceduralBackgrounds
-from twohands.synth.production.executors import LocalProcesses
 from twohands.synth.production.manifest import claimed_folder, environment
 from twohands.synth.production.produce import check_room
 from twohands.synth.render.choice import RendererName, open_fabrics, renderer_version

@@ -9,11 +9,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from twohands.executors.base import Executor
+from twohands.executors.local import LocalProcesses
 from twohands.formats.ego3dhands import instance_name
 from twohands.synth.backgrounds.base import Backgrounds
 from twohands.synth.backgrounds.photographs import BackgroundFolder
 from twohands.synth.backgrounds.procedural import ProceduralBackgrounds
-from twohands.synth.production.executors import Executor, LocalProcesses
 from twohands.synth.production.manifest import environment
 from twohands.synth.production.produce import Layout, Made, Outcome, Plan, produce
 from twohands.synth.render.choice import RendererName, open_fabrics, renderer_version

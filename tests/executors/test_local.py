@@ -3,11 +3,13 @@
 import multiprocessing
 import os
 import signal
+import time
+from pathlib import Path
 
 import pytest
 
 from twohands.errors import InputError, TwoHandsError
-from twohands.synth.production.executors import LocalProcesses
+from twohands.executors.local import LocalProcesses
 
 BIG = 20_000_000
 
@@ -29,6 +31,25 @@ def open_picky():
 def test_results_come_in_the_order_of_the_indices():
     results = list(LocalProcesses(2).run(open_big, iter(range(7, 13))))
     assert [(len(r), r[0]) for r in results] == [(BIG, i) for i in range(7, 13)]
+
+
+def open_late_first():
+    """The first one waits until another process has done the last one, for a minute at most."""
+
+    def work(index):
+        path, began = Path(os.environ["TWOHANDS_TEST_MARK"]), time.monotonic()
+        if index == 5:
+            path.touch()
+        while index == 0 and not path.exists() and time.monotonic() < began + 60:
+            time.sleep(0.01)
+        return index
+
+    return work
+
+
+def test_without_order_a_slow_job_holds_nobody_up(tmp_path, monkeypatch):
+    monkeypatch.setenv("TWOHANDS_TEST_MARK", str(tmp_path / "mark"))
+    assert list(LocalProcesses(2).run(open_late_first, range(6), in_order=False)) == [1, 2, 3, 4, 5, 0]
 
 
 def test_an_error_comes_after_the_results_before_it():

@@ -1,8 +1,4 @@
-"""Who does the work of a long run: this process, several, or a cluster (`ray_cluster.py`).
-
-All of them do the same: call a function on numbers, and hand back the results in the order of the numbers, so that what
-is written does not depend on who made it.
-"""
+"""The work of a run in this process, or in several of this machine."""
 
 from __future__ import annotations
 
@@ -16,35 +12,13 @@ from itertools import islice
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnContext
-from typing import Any, Protocol, TypeVar
+from typing import Any
 
 from twohands.errors import InputError, TwoHandsError
+from twohands.executors.base import AHEAD, Opener, Result
 
-Result = TypeVar("Result")
-Opener = Callable[[], Callable[[int], Result]]
-"""Called once in every worker; what it returns is called on numbers. It must be picklable, the returned function need
-not be."""
-
-AHEAD = 4
-"""Jobs handed out per worker before the oldest must be done: enough to hide one slow job, few enough for the memory."""
 JOBS = 2
-"""Jobs of a worker at a time: the one it does and the next."""
-
-
-class Executor(Protocol):
-    """Runs a function on numbers."""
-
-    def run(self, opener: Opener[Result], indices: Iterable[int]) -> Iterator[Result]:
-        """The function's results, in the order of the indices.
-
-        Args:
-            opener: makes the function, in every worker.
-            indices: what to call it on; taken as needed, never listed whole.
-
-        Raises:
-            TwoHandsError: a worker died, or what the function itself raises.
-        """
-        ...
+"""Jobs of a worker at a time, where results come in order: the one it does and the next."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +38,7 @@ class LocalProcesses:
         if self.workers < 1:
             raise InputError(f"workers must be at least 1, got {self.workers}")
 
-    def run(self, opener: Opener[Result], indices: Iterable[int]) -> Iterator[Result]:
+    def run(self, opener: Opener[Result], indices: Iterable[int], *, in_order: bool = True) -> Iterator[Result]:
         """See `Executor.run`. Processes end with this one, even if it is killed."""
         if self.workers == 1:
             yield from _run_here(opener, indices)
@@ -74,7 +48,7 @@ class LocalProcesses:
         with _deaf_to_interrupts():
             crew = [_Worker(context, opener) for _ in range(self.workers)]
         try:
-            yield from _share_out(crew, indices)
+            yield from _share_out(crew, indices, in_order)
         finally:
             for worker in crew:
                 worker.pipe.close()  # it finishes its job and goes
@@ -132,25 +106,27 @@ def _told() -> Iterator[None]:
         ) from error
 
 
-def _share_out(crew: Sequence[_Worker], indices: Iterable[int]) -> Iterator[Any]:
-    """Results in the order of the indices, each worker with a job and the next one.
+def _share_out(crew: Sequence[_Worker], indices: Iterable[int], in_order: bool) -> Iterator[Any]:
+    """Results, each worker with a job and, in order, the next one.
 
     Raises:
         TwoHandsError: a worker died.
     """
-    remaining = iter(indices)
+    remaining, jobs = iter(indices), JOBS if in_order else 1
     order: deque[int] = deque()
     done: dict[int, tuple[Any, BaseException | None]] = {}
     while True:
         for worker in crew:
-            room = min(JOBS - worker.jobs, AHEAD * len(crew) - len(order))
+            room = min(jobs - worker.jobs, AHEAD * len(crew) - len(order))
             for index in islice(remaining, max(room, 0)):
                 worker.give(index)
                 order.append(index)
         if not order:
             return
-        if order[0] in done:
-            result, error = done.pop(order.popleft())
+        next_up = order[0] if in_order else next(iter(done), None)
+        if next_up in done:
+            order.remove(next_up)
+            result, error = done.pop(next_up)
             if error is not None:
                 raise error
             yield result
@@ -160,25 +136,6 @@ def _share_out(crew: Sequence[_Worker], indices: Iterable[int]) -> Iterator[Any]
             if worker.pipe in ready:
                 index, result, error = worker.take()
                 done[index] = result, error
-
-
-def ordered(
-    submit: Callable[[int], Any], collect: Callable[[Any], Result], indices: Iterable[int], workers: int
-) -> Iterator[Result]:
-    """Results in the order of the indices, a few jobs of every worker in flight.
-
-    Args:
-        submit: hands one job out, returns its ticket.
-        collect: waits for a ticket's result.
-        indices: the jobs.
-        workers: number of workers.
-    """
-    remaining = iter(indices)
-    tickets = deque(submit(index) for index in islice(remaining, AHEAD * workers))
-    while tickets:
-        result = collect(tickets.popleft())
-        tickets.extend(submit(index) for index in islice(remaining, 1))
-        yield result
 
 
 def _run_here(opener: Opener[Result], indices: Iterable[int]) -> Iterator[Result]:

@@ -1,7 +1,7 @@
-"""The work of a run on a Ray cluster: actors with a renderer each, results to the one process that writes them.
+"""The work of a run on a Ray cluster: actors that are opened once each, results to the process that runs it.
 
 Nothing has to be shared between the machines but this package at one version: what an actor needs travels to it, what
-it makes comes back through Ray. A folder of backgrounds must be at the same path on all of them.
+it makes comes back through Ray. Folders that the work reads must be at the same path on all of them.
 """
 
 from __future__ import annotations
@@ -9,14 +9,14 @@ from __future__ import annotations
 import os
 import platform
 import socket
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import count
 from typing import Any
 
-from twohands.errors import InputError, MissingExtraError, RendererError, TwoHandsError
-from twohands.synth.production.executors import Opener, Result, ordered
+from twohands.errors import InputError, MissingExtraError, TwoHandsError
+from twohands.executors.base import AHEAD, Opener, Result, in_flight
 from twohands.version import __version__
 
 REACH_SECONDS = 5.0
@@ -27,14 +27,14 @@ MadeWith = Callable[[], dict[str, str]]
 
 @dataclass(frozen=True)
 class RayCluster:
-    """A Ray cluster; an `executors.Executor`.
+    """A Ray cluster; a `base.Executor`.
 
     Attributes:
         address: HOST:PORT of a running cluster's head, "auto" for the cluster that this machine belongs to; None starts
             one on this machine, which ends with the run.
         workers: number of actors, one core each, at most as many as the cluster has cores; 0 takes all of them.
-        made_with: `Production.made_with`: must come out the same on all machines as here, or their bytes would differ;
-            None compares nothing but the package's version. Picklable.
+        made_with: versions that the results depend on; must come out the same on all machines as here, or their bytes
+            would differ. None compares nothing but the package's version. Picklable.
         restarts: how often each actor is started again after it died, along with the jobs it held.
 
     Raises:
@@ -63,13 +63,12 @@ class RayCluster:
         if self.address not in (None, "auto"):
             _reach(self.address)
 
-    def run(self, opener: Opener[Result], indices: Iterable[int]) -> Iterator[Result]:
+    def run(self, opener: Opener[Result], indices: Iterable[int], *, in_order: bool = True) -> Iterator[Result]:
         """See `Executor.run`.
 
         Raises:
             MissingExtraError: Ray is not installed.
-            InputError: no cluster at the address.
-            RendererError: a machine of the cluster would make other bytes than this one.
+            InputError: no cluster at the address, or a machine of it would make other bytes than this one.
             TwoHandsError: an actor died too often, or what the function itself raises.
         """
         self.check()
@@ -82,11 +81,23 @@ class RayCluster:
             actor = ray.remote(num_cpus=1, max_restarts=self.restarts, max_task_retries=self.restarts)(_Worker)
             expected = fingerprint(self.made_with)
             actors: list[Any] = [actor.remote(opener, self.made_with, expected) for _ in range(workers)]
-            turn = count()
+            free = deque(actors * (AHEAD if in_order else 1))
+            busy: dict[Any, Any] = {}
+
+            def submit(index: int) -> Any:
+                actor = free.popleft()
+                ticket = actor.work.remote(index)
+                busy[ticket] = actor
+                return ticket
+
+            def collect(ticket: Any) -> Any:
+                result = _collect(ticket)
+                free.append(busy.pop(ticket))
+                return result
+
+            first_done = None if in_order else lambda tickets: ray.wait(list(tickets))[0][0]
             try:
-                yield from ordered(
-                    lambda index: actors[next(turn) % workers].work.remote(index), _collect, indices, workers
-                )
+                yield from in_flight(submit, collect, indices, len(free), first_done)
             finally:  # or they would keep their cores as long as an error's traceback keeps their handles
                 for each in actors:
                     ray.kill(each)
@@ -99,7 +110,7 @@ class RayCluster:
             return
         try:
             ray.init(log_to_driver=False, logging_level="ERROR", **self._options())
-        except (ConnectionError, ValueError, RuntimeError) as error:
+        except Exception as error:  # Ray says some of it as a plain Exception
             raise InputError(f"no Ray cluster {self._complaint(error)}") from error
         try:
             yield
@@ -162,7 +173,7 @@ def _check_fingerprint(found: dict[str, str], expected: dict[str, str]) -> None:
         if found.get(key) != expected.get(key)
     ]
     if differences:
-        raise RendererError(
+        raise InputError(
             f"machine {platform.node()} of the Ray cluster would make other bytes than this one "
             f"({'; '.join(differences)}): give all machines the same versions, or leave it out"
         )
