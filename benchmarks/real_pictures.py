@@ -26,13 +26,13 @@ import cv2
 import numpy as np
 from benchmarks.real_hands import PHOTO_FOV, list_photos, read_ge2019, typical_hand_length_m
 
-from twohands.cli.known import assumed_camera
 from twohands.datasets.digits import LABELS_FILE, Digits
 from twohands.datasets.ego3dhands import Ego3DHands
 from twohands.datasets.files import existing_folder, read_json
 from twohands.datasets.opening import open_dataset
 from twohands.errors import InputError
 from twohands.formats.pictures import list_images, read_image
+from twohands.inference.known import assumed_camera
 from twohands.skeleton import N_JOINTS, SIDES
 from twohands.types import HandSample, PinholeCamera
 

@@ -19,15 +19,15 @@ from typing import Any
 import cv2
 import numpy as np
 
+from twohands.batch.clip import ClipJob, write_clip
 from twohands.cli.bench import usable_cores
 from twohands.cli.demo import examples_folder
-from twohands.cli.known import assumed_camera
 from twohands.cli.output import check_output_folder
-from twohands.cli.track_clip import ClipJob, write_clip
 from twohands.errors import TwoHandsError
 from twohands.formats.pictures import list_images, read_image
 from twohands.inference.estimator import DEFAULT_HAND_LENGTH_M, HandEstimator
 from twohands.inference.frames import VideoFrames
+from twohands.inference.known import assumed_camera
 from twohands.inference.weights import DEFAULT_PRESET
 from twohands.types import TwoHandPose
 from twohands.visualization.movie import Movie
@@ -110,7 +110,6 @@ def main() -> int:
             smooth=True,
             look_ahead_s=0.0,
             overlay=True,
-            lines=False,
             weights=options.weights,
             more={},
         )

@@ -20,7 +20,7 @@ STOREYS = [
     {"synth", "datasets", "models", "evaluation"},
     {"training", "inference", "peers"},
     {"visualization", "export", "lifting", "calibration", "studies"},
-    {"live"},
+    {"live", "batch"},
     {"cli"},
 ]
 """Rooms from the ground up. A room may use itself and lower storeys, never its own storey's neighbours. The ground
@@ -63,6 +63,7 @@ EXTRAS = {
     "starlette": {"live"},
     "uvicorn": {"live"},
     "websockets": set(),
+    "fsspec": set(),
 }
 """Optional packages, and the rooms whose modules may need them to be imported; elsewhere only inside functions."""
 

@@ -64,6 +64,32 @@ def write_whole(path: Path, content: bytes) -> None:
         partial.write_bytes(content)
 
 
+@contextlib.contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Holds an advisory lock on a folder, which unlike the files in it is never replaced; the system lets go of it when
+    the process ends, however it ends.
+
+    Raises:
+        InputError: another process holds it.
+    """
+    try:
+        import fcntl
+    except ImportError:  # Windows has other locks; two runs in one folder are then the user's to avoid
+        yield
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise InputError(f"another process is writing to {folder}: wait for it, or stop it") from None
+        except OSError:  # some network file systems know no locks
+            pass
+        yield
+    finally:
+        os.close(descriptor)
+
+
 def let_others_read(path: Path) -> None:
     """Give a file that was made private, as temporary ones are, the permissions of any other new file: what the
     process's umask allows."""

@@ -11,9 +11,9 @@ import pytest
 from tests.oracles import write_tiny_weights
 
 from twohands.cli import demo, track
-from twohands.cli.known import assumed_camera
 from twohands.cli.main import main
 from twohands.errors import InputError
+from twohands.inference.known import assumed_camera
 from twohands.inference.records import from_dict
 from twohands.inference.weights import preset_names, read_card
 

@@ -19,7 +19,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from twohands.cli.track_clip import ClipJob, write_clip
+from twohands.batch.clip import ClipJob, write_clip
 from twohands.errors import InputError
 from twohands.inference.clip_files import ClipFiles
 from twohands.inference.estimator import DEFAULT_HAND_LENGTH_M, HandEstimator
@@ -245,7 +245,6 @@ def _together(clip: Path, estimator: HandEstimator, end_s: float, out: Path) -> 
         smooth=True,
         look_ahead_s=0.0,
         overlay=True,
-        lines=False,
         weights=estimator.card.name,
         more={},
     )

@@ -30,7 +30,7 @@ from twohands.calibration.board import BoardView, board_pdf, find_board
 from twohands.calibration.camera import MOST_VIEWS, CameraFit, fit_camera, is_new, usable
 from twohands.calibration.coverage import coverage_picture
 from twohands.calibration.hand import length_at_distance, length_on_board
-from twohands.cli.known import Known, camera_assumption, known_by
+from twohands.cli.known import camera_assumption, known_by
 from twohands.cli.output import write_file
 from twohands.errors import InputError, TwoHandsError
 from twohands.formats.pictures import list_images, natural_key, read_image
@@ -38,6 +38,7 @@ from twohands.formats.profiles import IntrinsicsSource, Profile, ScaleSource, ca
 from twohands.formats.profiles import read_profile as kept_profile
 from twohands.inference.estimator import DEFAULT_HAND_LENGTH_M, HandEstimator
 from twohands.inference.frames import is_video, open_frames
+from twohands.inference.known import Known
 from twohands.inference.weights import DEFAULT_PRESET
 from twohands.plausibility import camera_doubts, hand_length_doubts, warn
 from twohands.types import PinholeCamera

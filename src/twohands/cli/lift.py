@@ -15,11 +15,12 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from twohands.cli.known import Known, known_by
+from twohands.cli.known import known_by
 from twohands.cli.output import write_file
 from twohands.errors import DataFormatError, InputError
 from twohands.formats.structured import parse_json, read_bytes
 from twohands.geometry.lifting import View
+from twohands.inference.known import Known
 from twohands.inference.range_sigma import with_sources
 from twohands.inference.records import from_dict, to_dict
 from twohands.inference.tables import csv_text, npz_bytes, to_arrays

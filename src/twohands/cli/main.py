@@ -53,6 +53,7 @@ _EXTRA_OF_MODULE = {
     "matplotlib": "view",
     "ray": "cluster",
     "av": "video",
+    "fsspec": "remote",
     "starlette": "live",
     "uvicorn": "live",
     "websockets": "live",

@@ -1,7 +1,8 @@
-"""Both hands in metres from a video, a camera, an image or a folder of images.
+"""Both hands in metres from a video, a camera, an image, or many of them.
 
 Of images prints a table and writes hands.json, an overlay and the three-view figure of each. Of a video, a stream or
-camera:0 writes hands.jsonl while it runs, and an overlay, arrays and a table (extra video).
+camera:0 writes hands.jsonl while it runs, and an overlay, arrays and a table (extra video). Of a folder, a pattern or a
+bucket of videos a folder for each of them, and manifest.jsonl.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import os
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,14 +23,19 @@ import cv2
 import numpy as np
 import tyro
 
-from twohands.cli.known import Known, camera_assumption, known_by
+from twohands.batch.clip import ClipJob, sourced
+from twohands.batch.stores import is_remote
+from twohands.batch.tracker import ClipTracker
+from twohands.cli.known import camera_assumption, known_by
 from twohands.cli.output import check_output_folder, write_file
-from twohands.cli.track_clip import ClipJob, Estimate, check_look_ahead, check_times, default_out, track_clip
+from twohands.cli.track_clip import check_look_ahead, check_times, default_out, track_clip
+from twohands.cli.track_clips import Crew, absolute, are_clips, default_out_of, existing_of, track_many
 from twohands.errors import InputError, MissingExtraError, TwoHandsError
 from twohands.formats.pictures import list_images, look_through, natural_key, read_image
 from twohands.formats.profiles import IntrinsicsSource, ScaleSource
 from twohands.inference.estimator import HandEstimator
 from twohands.inference.frames import is_video, load_av, open_frames
+from twohands.inference.known import Known
 from twohands.inference.range_sigma import with_sources
 from twohands.inference.records import to_dict
 from twohands.inference.weights import DEFAULT_PRESET
@@ -40,6 +46,8 @@ from twohands.visualization.overlay import draw_overlay
 
 KEEP_EVERY_S = 10.0
 """How often hands.json of a folder is written while it is worked on."""
+VIDEO_OPTIONS = ("start", "end", "stride", "mirrored", "smooth", "look_ahead", "overlay", "estimator")
+MANY_OPTIONS = ("workers", "engine", "ray_address", "resume")
 MAX_NAME_BYTES = 200
 """Of a result's file name, without its ending; file systems take 255."""
 
@@ -54,10 +62,10 @@ class TrackArgs:
     """Arguments of `twohands track`."""
 
     input: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="INPUT")]
-    """Image (PNG, JPEG, WebP, BMP, TIFF, AVIF; HEIC with the extra heic), folder of images, quoted pattern ('*.jpg'),
-    video file, address of a stream (rtsp://...), or camera:0."""
-    out: Annotated[Path | None, option("DIR")] = None
-    """Folder for the results; out/track/NAME-OF-INPUT if not given."""
+    """Image (PNG, JPEG, WebP, BMP, TIFF, AVIF; HEIC with the extra heic), video file, folder or quoted pattern of
+    either ('*.jpg'), bucket ('s3://bucket/*.mp4', extra remote), address of a stream (rtsp://...), or camera:0."""
+    out: Annotated[str | None, option("DIR")] = None
+    """Folder or bucket for the results; out/track/NAME-OF-INPUT if not given."""
     camera: Annotated[Path | None, option("FILE")] = None
     """Camera file: JSON with fx, fy, cx, cy, width, height[, distortion], or a calibration tool's (docs/inputs.md)."""
     fov: Annotated[float | None, option("DEG")] = None
@@ -95,6 +103,16 @@ class TrackArgs:
     mediapipe_model: Annotated[Path | None, option("FILE")] = None
     """hand_landmarker.task, which mediapipe needs from 0.10.30 on; its older solution with built-in models if not
     given."""
+    workers: int = 0
+    """Many clips: processes, one core and one clip each; 0 takes all cores, of the machine or of the cluster."""
+    engine: Literal["local", "ray"] = "local"
+    """Many clips: who tracks them: processes of this machine, or a Ray cluster, with the same bytes (extra
+    'cluster')."""
+    ray_address: Annotated[str | None, option("ADDRESS")] = None
+    """HOST:PORT of a running Ray cluster's head, "auto" for the cluster that this machine belongs to; if not given, one
+    is started on this machine (ray)."""
+    resume: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
+    """Many clips: go on with a run of the same settings that was killed; only what is missing is tracked."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,9 +139,12 @@ def run(args: TrackArgs) -> int:
     known = known_by(args.camera, args.fov, args.hand_length, args.profile)
     if not args.input:
         raise InputError("INPUT is empty: an image, a folder, a video or a camera is needed")
+    if are_clips(args.input, args.out):
+        return _track_clips(args, known)
+    _refuse_options(args, MANY_OPTIONS, "many clips: a folder, a pattern or a bucket of videos")
     if is_video(args.input):
         return _track_clip(args, known)
-    _refuse_video_options(args)
+    _refuse_options(args, VIDEO_OPTIONS, "videos, streams and cameras")
     source = Path(args.input)
     folder = os.path.isdir(source)  # Path.is_dir raises for names too long for a file
     matching = [] if os.path.lexists(source) else _matching(args.input)
@@ -133,7 +154,7 @@ def run(args: TrackArgs) -> int:
     several = folder or bool(matching)
     pictures = _readable(files, known) if several else [_open(source, 0, known)]
     name = files[0].resolve().parent.name if matching else source.resolve().name if folder else source.stem
-    out = args.out or Path("out") / "track" / name
+    out = Path(args.out) if args.out else Path("out") / "track" / name
     if several and os.path.isdir(out) and os.path.samefile(out, files[0].parent):
         raise InputError(
             f"output {out} is the folder of the images, some of which it might replace; choose another --out"
@@ -178,20 +199,47 @@ def _matching(pattern: str) -> list[Path]:
     return sorted(files, key=lambda path: natural_key(path.name))
 
 
-def _refuse_video_options(args: TrackArgs) -> None:
-    """Of options that mean nothing for pictures."""
+def _refuse_options(args: TrackArgs, names: Sequence[str], whose: str) -> None:
+    """Of options that mean nothing for this input."""
     unused = TrackArgs(args.input)
-    for name in ("start", "end", "stride", "mirrored", "smooth", "look_ahead", "overlay", "estimator"):
+    for name in names:
         if getattr(args, name) != getattr(unused, name):
             option_name = f"--no-{name}" if getattr(unused, name) is True else f"--{name.replace('_', '-')}"
-            raise InputError(f"{option_name} is for videos, streams and cameras; {args.input} is none by its name")
+            raise InputError(f"{option_name} is for {whose}; {args.input} is none")
+
+
+def _track_clips(args: TrackArgs, known: Known) -> int:
+    """Many videos, or one from or to a bucket."""
+    _refuse_options(args, ("json", "estimator"), "a single clip")
+    start_s, end_s = check_times(args.start, args.end)
+    existing = existing_of(args.resume, args.overwrite)
+    if args.out is not None and "://" in args.out and not is_remote(args.out):
+        raise InputError(f"--out {args.out}: a folder or a bucket expected")
+    _say_assumptions(known)
+    tracker = ClipTracker(
+        absolute(args.out or default_out_of(args.input)),
+        camera=known.camera,
+        fov_deg=known.fov_deg,
+        hand_length_m=None if known.scale_source == "assumed" else known.hand_length_m,
+        scale_source=known.scale_source,
+        camera_source=known.camera_source,
+        weights=absolute(args.weights) if os.path.isdir(args.weights) else args.weights,
+        start_s=start_s,
+        end_s=end_s,
+        stride=args.stride,
+        mirrored=args.mirrored,
+        smooth=args.smooth,
+        look_ahead_s=args.look_ahead,
+        overlay=args.overlay,
+    )
+    return track_many(tracker, args.input, Crew(args.engine, args.workers, args.ray_address), existing)
 
 
 def _track_clip(args: TrackArgs, known: Known) -> int:
     """A video, a stream or a camera."""
     start_s, end_s = check_times(args.start, args.end)
     look_ahead_s = check_look_ahead(args.look_ahead)
-    out = args.out or default_out(args.input)
+    out = Path(args.out) if args.out else default_out(args.input)
     check_output_folder(out, overwrite=args.overwrite)
     with ExitStack() as stack:
         frames = stack.enter_context(open_frames(args.input, start_s=start_s, end_s=end_s, stride=args.stride))
@@ -203,10 +251,7 @@ def _track_clip(args: TrackArgs, known: Known) -> int:
         else:
             ours = HandEstimator.from_preset(args.weights)
             estimator, weights, more = ours.estimate, ours.card.name, {"config": ours.card.settings()}
-        if known.camera is None and known.fov_deg is None:
-            _say(camera_assumption("assumed") or "")
-        for line in known.assumptions():
-            _say(line)
+        _say_assumptions(known)
         job = ClipJob(
             args.input,
             out,
@@ -216,21 +261,19 @@ def _track_clip(args: TrackArgs, known: Known) -> int:
             args.smooth,
             look_ahead_s,
             args.overlay,
-            args.json,
             weights,
             more,
         )
         camera_source = "assumed" if known.camera_source is None else known.camera_source
-        return track_clip(job, frames, _sourced(estimator, known.scale_source, camera_source))
+        return track_clip(job, frames, sourced(estimator, known.scale_source, camera_source), lines=args.json)
 
 
-def _sourced(estimator: Estimate, scale_source: ScaleSource, camera_source: IntrinsicsSource) -> Estimate:
-    """An estimator whose hands say how length and camera are known."""
-
-    def estimate(*args: Any, **options: Any) -> TwoHandPose:
-        return with_sources(estimator(*args, **options), scale_source, camera_source)
-
-    return estimate
+def _say_assumptions(known: Known) -> None:
+    """What is assumed of a clip."""
+    if known.camera is None and known.fov_deg is None:
+        _say(camera_assumption("assumed") or "")
+    for line in known.assumptions():
+        _say(line)
 
 
 def track_pictures(

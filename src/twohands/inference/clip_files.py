@@ -8,12 +8,11 @@ hands.jsonl, version 2: a header, then a line for each frame::
 
 with H as in hands.json (`records`). `index` is the frame's position in the clip, those that were left out included. A
 process that is killed leaves whole lines. The arrays and the table are those of `tables`; they appear when the clip has
-ended.
+ended. No file holds a date.
 """
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import shutil
@@ -129,17 +128,17 @@ class ClipFiles:
             zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED) as archive,
         ):
             for name, array in to_arrays([], self._camera, **self._about).items():
-                if name in self._columns:
-                    spool, dtype, row_shape = self._columns[name]
-                    spool.seek(0)
-                    with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                info = zipfile.ZipInfo(f"{name}.npy")  # of no date: the same clip gives the same bytes
+                info.compress_type = zipfile.ZIP_DEFLATED
+                with archive.open(info, "w", force_zip64=True) as member:
+                    if name in self._columns:
+                        spool, dtype, row_shape = self._columns[name]
+                        spool.seek(0)
                         np.lib.format.write_array_header_1_0(member, _npy_header(dtype, (self.count, *row_shape)))
                         shutil.copyfileobj(spool, member)
-                else:
-                    array = np.full(self.count, "", "<U1") if name == "files" else array
-                    content = io.BytesIO()
-                    np.lib.format.write_array(content, array, allow_pickle=False)
-                    archive.writestr(f"{name}.npy", content.getvalue())
+                    else:
+                        array = np.full(self.count, "", "<U1") if name == "files" else array
+                        np.lib.format.write_array(member, array, allow_pickle=False)
 
 
 def read_clip(path: Path) -> tuple[dict[str, Any], Iterator[TwoHandPose]]:

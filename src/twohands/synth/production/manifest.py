@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import platform
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -12,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from twohands.errors import InputError
-from twohands.files import partial_path, write_whole
+from twohands.files import locked, partial_path, write_whole
 from twohands.formats.instance_index import MANIFEST_FILE
 from twohands.version import __version__
 
@@ -55,7 +54,7 @@ def claimed_folder(folder: Path, identity: dict[str, Any], made_with: dict[str, 
     with ExitStack() as stack:
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            stack.enter_context(_locked(folder))
+            stack.enter_context(locked(folder))
             environments: list[dict[str, str]] = []
             if path.is_file():
                 environments = _check_identity(folder, path, identity)
@@ -94,25 +93,3 @@ def _differences(there: dict[str, Any], here: dict[str, Any], prefix: str = "") 
         elif old != new:
             found.append(f"{prefix}{key} is {json.dumps(old)} there, {json.dumps(new)} here")
     return found
-
-
-@contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    """Holds an advisory lock on a folder, which unlike the files in it is never replaced; the system lets go of it when
-    the process ends, however it ends."""
-    try:
-        import fcntl
-    except ImportError:  # Windows has other locks; two runs in one folder are then the user's to avoid
-        yield
-        return
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise InputError(f"another process is writing to {folder}: wait for it, or stop it") from None
-        except OSError:  # some network file systems know no locks
-            pass
-        yield
-    finally:
-        os.close(descriptor)
