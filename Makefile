@@ -41,7 +41,7 @@ lint: environment
 	$(BIN)/pyright
 
 environment:
-	@bash scripts/environment.sh $(VENV) synth,synth-bake,train,datasets,view,video,live,remote,dev
+	@bash scripts/environment.sh $(VENV) synth,synth-bake,train,datasets,view,video,live,motion,remote,dev
 
 environment-view:
 	@bash scripts/environment.sh $(VENV) view

@@ -19,7 +19,7 @@ STOREYS = [
     {"geometry"},
     {"synth", "datasets", "models", "evaluation"},
     {"training", "inference", "peers"},
-    {"visualization", "export", "lifting", "calibration", "studies"},
+    {"visualization", "export", "lifting", "calibration", "studies", "motion"},
     {"live", "batch"},
     {"cli"},
 ]
@@ -64,6 +64,9 @@ EXTRAS = {
     "uvicorn": {"live"},
     "websockets": set(),
     "fsspec": set(),
+    "pygltflib": set(),
+    "rosbags": set(),
+    "pythonosc": set(),
 }
 """Optional packages, and the rooms whose modules may need them to be imported; elsewhere only inside functions."""
 

@@ -27,6 +27,7 @@ from twohands.lifting.mediapipe_estimator import MediaPipeEstimator
 from twohands.live.clip import LiveClip
 from twohands.live.door import LOOPBACK, Door, check_door
 from twohands.live.messages import Settings
+from twohands.motion.vmc import VmcSender
 from twohands.types import PinholeCamera
 from twohands.visualization.view_page import live_page, view_policy
 
@@ -64,6 +65,9 @@ class LiveArgs:
     """What everybody must say to come in: at least 8 letters and digits."""
     allow_origin: Annotated[tuple[str, ...], option("ORIGIN")] = ()
     """Pages of yours that may open the stream, such as http://localhost:3000; all others are refused."""
+    osc: Annotated[str | None, option("HOST:PORT")] = None
+    """Send hand and finger bones to an avatar's program as well, by the VMC protocol: 127.0.0.1:39539 is where such
+    programs listen. Needs the extra motion."""
     open: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True
     """Do not open the page in a browser."""
 
@@ -79,6 +83,7 @@ def run(args: LiveArgs) -> int:
     number = _camera_number(args.camera)
     name = None if number is None else f"{CAMERA_PREFIX}{number}"
     settings = Settings(name or "stream", known.hand_length_m, args.fov, args.mirrored)
+    avatar = None if args.osc is None else VmcSender(*_host_and_port(args.osc))
     with ExitStack() as stack:
         listening = stack.enter_context(listen(args.host, args.port))
         frames: tuple[str, Iterable[Frame]] | None = None
@@ -95,7 +100,7 @@ def run(args: LiveArgs) -> int:
         def camera_for(fov_deg: float | None, width: int, height: int) -> PinholeCamera:
             return replace(known, fov_deg=fov_deg).camera_of(width, height)[0]
 
-        clip = LiveClip(estimate, camera_for, weights, more, settings)
+        clip = LiveClip(estimate, camera_for, weights, more, settings, avatar)
         page = live_page(
             {
                 "camera": name,
@@ -124,6 +129,13 @@ def _camera_number(given: str | None) -> int | None:
     if not (digits.isascii() and digits.isdecimal() and len(digits) < 4):
         raise InputError(f"--camera {given}: a number expected, 0 for the first; intrinsics go to --camera-file")
     return int(digits)
+
+
+def _host_and_port(given: str) -> tuple[str, int]:
+    host, _, port = given.rpartition(":")
+    if not (host and port.isascii() and port.isdecimal() and 0 < int(port) < 1 << 16):
+        raise InputError(f"--osc {given}: HOST:PORT expected, such as 127.0.0.1:39539")
+    return host, int(port)
 
 
 def _address(args: LiveArgs, port: int) -> str:

@@ -31,6 +31,7 @@ VERBS = {
     "track": "both hands in metres from a video, a camera, an image or a folder of images",
     "live": "a page with both hands in metres while they move, and a stream for other programs",
     "lift": "metres from another hand tracker's results: MediaPipe, WiLoR, HaMeR, OpenPose, MMPose",
+    "export-motion": "a tracked clip as glTF, BVH, ROS 2 bag or OpenXR's joints",
     "calibrate": "camera and hand length, by a printed board or a taped distance",
     "demo": "track the packaged example images",
     "generate": "render labelled synthetic data",
@@ -57,9 +58,12 @@ _EXTRA_OF_MODULE = {
     "starlette": "live",
     "uvicorn": "live",
     "websockets": "live",
+    "pygltflib": "motion",
+    "rosbags": "motion",
+    "pythonosc": "motion",
 }
 
-READING_VERBS = ("track", "live", "demo", "lift", "calibrate", "inspect", "eval", "bench")
+READING_VERBS = ("track", "live", "demo", "lift", "export-motion", "calibrate", "inspect", "eval", "bench")
 """Those that read what others made, with libraries that print what they think of it; and start no programs of others
 whose words would matter."""
 EXIT_USER_ERROR = 2
@@ -128,7 +132,7 @@ def _run_verb(verb: str, arguments: Sequence[str]) -> int:
         close = difflib.get_close_matches(verb, VERBS, n=1)
         hint = f"did you mean '{close[0]}'?" if close else f"known: {', '.join(VERBS)}"
         return _fail(f"unknown command '{verb}'; {hint}")
-    module = importlib.import_module(f"twohands.cli.{verb}")
+    module = importlib.import_module(f"twohands.cli.{verb.replace('-', '_')}")
     import tyro
 
     hints = typing.get_type_hints(module.run)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -21,6 +21,18 @@ CameraFor = Callable[[float | None, int, int], PinholeCamera]
 """(field of view in degrees or None, width, height) -> camera, or InputError where that cannot be."""
 
 
+class Listener(Protocol):
+    """Whoever wants the poses themselves."""
+
+    def begin(self) -> None:
+        """A new clip."""
+        ...
+
+    def send(self, pose: TwoHandPose) -> None:
+        """A frame."""
+        ...
+
+
 class LiveClip:
     """Estimates one clip after the other; for one thread.
 
@@ -30,15 +42,23 @@ class LiveClip:
         weights: what estimates.
         more: what else headers say.
         settings: of the first clip.
+        listener: who else is told; None for nobody.
     """
 
     def __init__(
-        self, estimate: Estimate, camera_for: CameraFor, weights: str, more: Mapping[str, Any], settings: Settings
+        self,
+        estimate: Estimate,
+        camera_for: CameraFor,
+        weights: str,
+        more: Mapping[str, Any],
+        settings: Settings,
+        listener: Listener | None = None,
     ) -> None:
         self._estimate = estimate
         self._camera_for = camera_for
         self._weights = weights
         self._more = dict(more)
+        self._listener = listener
         self._video = VideoEstimator()
         self.begin(settings)
 
@@ -48,6 +68,8 @@ class LiveClip:
         self._camera: PinholeCamera | None = None
         self._header = ""
         self._video.reset()
+        if self._listener is not None:
+            self._listener.begin()
 
     def frame(self, image: np.ndarray, index: int, time_s: float) -> tuple[str, str]:
         """One picture.
@@ -86,4 +108,6 @@ class LiveClip:
                 hand_length_m=settings.hand_length_m,
                 more=self._more | {"mirrored": settings.mirrored, "smoothed": True, "look_ahead_s": 0.0},
             )
+        if self._listener is not None:
+            self._listener.send(pose)
         return self._header, frame_line(replace(pose, masks=None))
