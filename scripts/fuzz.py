@@ -15,7 +15,7 @@ from pathlib import Path
 
 from tests.fuzz.mutations import KINDS, Workshop
 
-SHARES = {"camera": 8, "dataset": 5, "picture": 9, "prediction": 6, "weights": 2}
+SHARES = {"camera": 8, "dataset": 5, "picture": 9, "prediction": 6, "weights": 2, "motion": 8}
 
 
 def main() -> int:

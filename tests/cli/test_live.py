@@ -21,6 +21,8 @@ from twohands.cli.main import main
         (["--camera-file", "missing.json", "--fov", "60"], "give --camera-file or --fov, not both"),
         (["--fov", "0"], "field of view must lie between 0 and 180 degrees"),
         (["--hand-length", "-1"], "--hand-length must be a positive number of cm"),
+        (["--osc", "39539"], "--osc 39539: HOST:PORT expected, such as 127.0.0.1:39539"),
+        (["--osc", "127.0.0.1:0"], "--osc 127.0.0.1:0: HOST:PORT expected"),
         (["--port", "99999"], "--port must lie between 0 and 65535, got 99999"),
         (["--weights", "none"], "none"),
     ],

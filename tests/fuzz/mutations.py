@@ -1,6 +1,6 @@
 """Seeded damage to what users bring, and commands that must take it: one line and exit 2, or results and exit 0.
 
-`tests/fuzz/test_fuzz.py` runs 300 of them in CI, `scripts/fuzz.py` as many as one likes.
+`tests/fuzz/test_fuzz.py` runs 800 of them in CI, `scripts/fuzz.py` as many as one likes.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from unittest import mock
 import cv2
 import numpy as np
 from tests.datasets import fakes
+from tests.motion.moving import moving_hands, write_jsonl
 from tests.oracles import write_tiny_weights
 
 from twohands.cli import track
@@ -42,6 +43,10 @@ EXTREMES = (
     "[]", "{}", "[1, 2]", "2147483648", "65536", "1e5", "0.5", '"\\ud800"', "[[[[1]]]]", "", "1" * 5000,
 )  # fmt: skip
 SIZE = (96, 64)
+MOTIONS = (
+    ("openxr", "hands.jsonl"), ("bvh", "hands.bvh"), ("glb", "hands.glb"), ("gltf", "hands.gltf"), ("rosbag", "bag")
+)  # fmt: skip
+"""What clips are exported to, and what they are called then."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,11 +92,13 @@ class Workshop:
         self.dataset = self.originals / "dataset"
         for name in ("0", "1"):
             fakes.write_instance(self.dataset / name)
+        valid = np.array([[True, True], [True, False], [False, True], [True, True]])
+        self.motion = write_jsonl(moving_hands(4, valid=valid), self.originals / "hands.jsonl")
         self.predictions = _predictions(self.dataset, self.originals)
 
     def attempt(self, kind: str, seed: int) -> Attempt:
         """Damages a copy of one file and gives it to the command that reads it."""
-        rng = np.random.default_rng([seed, sorted(KINDS).index(kind)])
+        rng = np.random.default_rng([seed, list(KINDS).index(kind)])
         work = self.folder / "work"
         shutil.rmtree(work, ignore_errors=True)
         work.mkdir()
@@ -242,13 +249,22 @@ def _weights(shop: Workshop, rng: np.random.Generator, work: Path) -> tuple[str,
     return path.name, ["track", str(shop.picture), *arguments]
 
 
+def _motion(shop: Workshop, rng: np.random.Generator, work: Path) -> tuple[str, list[str]]:
+    to, name = MOTIONS[int(rng.integers(len(MOTIONS)))]
+    path = work / shop.motion.name
+    path.write_bytes(damaged_text(shop.motion.read_bytes(), rng))
+    return to, ["export-motion", str(path), "--to", to, "--out", str(work / "out" / name)]
+
+
 KINDS: dict[str, Callable[[Workshop, np.random.Generator, Path], tuple[str, list[str]]]] = {
     "camera": _camera,
     "dataset": _dataset,
     "picture": _picture,
     "prediction": _prediction,
     "weights": _weights,
+    "motion": _motion,
 }
+"""New ones at the end: a kind's place is part of its seeds."""
 
 
 def _cameras() -> dict[str, str]:

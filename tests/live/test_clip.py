@@ -4,10 +4,11 @@ import json
 
 import numpy as np
 import pytest
-from tests.live.fakes import IMAGE, make_clip
+from tests.live.fakes import IMAGE, camera_for, estimate, make_clip
 
 from twohands.errors import InputError
 from twohands.inference.clip_files import read_clip
+from twohands.live.clip import LiveClip
 from twohands.live.messages import Settings
 
 
@@ -42,3 +43,26 @@ def test_a_new_clip_may_have_another_size_and_an_earlier_time():
     clip.begin(Settings("b", 0.1))
     header, line = clip.frame(IMAGE[:, :32], 0, 0.0)
     assert json.loads(header)["camera"]["width"] == 32 and json.loads(line)["time_s"] == 0.0
+
+
+class Told:
+    """What a listener of a clip was told."""
+
+    def __init__(self) -> None:
+        self.said: list[object] = []
+
+    def begin(self) -> None:
+        self.said.append("begin")
+
+    def send(self, pose) -> None:
+        self.said.append((pose.index, pose.time_s, pose.left.valid, pose.right.valid))
+
+
+def test_a_listener_gets_every_pose_and_every_beginning():
+    told = Told()
+    clip = LiveClip(estimate, camera_for, "fake", {}, Settings("a", 0.1), told)
+    clip.frame(IMAGE, 0, 0.0)
+    clip.frame(IMAGE, 1, 0.1)
+    clip.begin(Settings("b", 0.1))
+    clip.frame(IMAGE, 0, 0.0)
+    assert told.said == ["begin", (0, 0.0, True, None), (1, 0.1, True, None), "begin", (0, 0.0, True, None)]

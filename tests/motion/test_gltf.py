@@ -179,7 +179,9 @@ def test_three_js_bends_the_mesh_as_the_joints_are(tmp_path):
     """The first 6 corners are those of an octahedron of 5 mm about the wrist, the last 6 the bar of the last bone."""
     motion = clip_with_gaps()
     path = files(tmp_path, motion)[0]
-    shown = node(NODE / "joints.mjs", path, json.dumps([float(np.float32(motion.time_s[8] - motion.time_s[0]))]), "skin")
+    shown = node(
+        NODE / "joints.mjs", path, json.dumps([float(np.float32(motion.time_s[8] - motion.time_s[0]))]), "skin"
+    )
     left = motion.joints_m[8, 0] @ UPRIGHT_FROM_CAMERA.T
     corners = np.array(shown["frames"][0][0])
     np.testing.assert_allclose(corners[:6].mean(axis=0), left[0], atol=TOLERANCE_M)
