@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
 
 
-def quaternions(rotations: np.ndarray) -> np.ndarray:
+def quaternions(rotations: Floats) -> Floats:
     """Unit quaternions of rotations, w >= 0 (of a half turn, either sign).
 
     Args:
@@ -31,12 +34,12 @@ def quaternions(rotations: np.ndarray) -> np.ndarray:
         axis=-2,
     )  # (..., 4, 4): row i is 4 q_i q
     best = np.argmax(np.stack([rows[..., i, i] for i in range(4)], axis=-1), axis=-1)
-    q = np.take_along_axis(rows, best[..., None, None], axis=-2)[..., 0, :]
-    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
-    return np.where(q[..., 3:] < 0, -q, q)
+    longest: Floats = np.take_along_axis(rows, best[..., None, None], axis=-2)[..., 0, :]
+    unit: Floats = longest / np.linalg.norm(longest, axis=-1, keepdims=True)
+    return np.where(unit[..., 3:] < 0, -unit, unit)
 
 
-def rotations(quaternions: np.ndarray) -> np.ndarray:
+def rotations(quaternions: Floats) -> Floats:
     """Rotations of quaternions.
 
     Args:
@@ -54,7 +57,7 @@ def rotations(quaternions: np.ndarray) -> np.ndarray:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def without_jumps(quaternions: np.ndarray) -> np.ndarray:
+def without_jumps(quaternions: Floats) -> Floats:
     """The same rotations over time, signs so that neighbours lie within a half turn: safe to interpolate.
 
     Args:
@@ -68,7 +71,7 @@ def without_jumps(quaternions: np.ndarray) -> np.ndarray:
     return np.concatenate([quaternions[:1], quaternions[1:] * sign[..., None]])
 
 
-def between(first: np.ndarray, second: np.ndarray, share: np.ndarray) -> np.ndarray:
+def between(first: Floats, second: Floats, share: Floats) -> Floats:
     """On the shortest way from one rotation to another at constant speed.
 
     Args:
@@ -80,7 +83,7 @@ def between(first: np.ndarray, second: np.ndarray, share: np.ndarray) -> np.ndar
     """
     dot = (first * second).sum(axis=-1)
     second = np.where(dot[..., None] < 0, -second, second)
-    angle = np.arccos(np.clip(np.abs(dot), 0.0, 1.0))
+    angle = np.arccos(np.minimum(np.abs(dot), 1.0))
     near = angle < 1e-6  # there the arc is a line
     sine = np.where(near, 1.0, np.sin(angle))
     one = np.where(near, 1 - share, np.sin((1 - share) * angle) / sine)

@@ -68,7 +68,7 @@ def read_motion(path: Path) -> HandMotion:
     if camera is None:
         raise InputError(f"{path}: no frame in it, so there is nothing to export")
     joints = np.stack(hands)
-    valid = np.isfinite(joints).all(axis=(-2, -1))
+    valid = np.asarray(np.isfinite(joints).all(axis=(-2, -1)))
     if not valid.any():
         raise InputError(f"{path}: no hand has metres in any of its {len(times)} frames, so there is nothing to export")
     return HandMotion(np.array(times), np.array(index), joints, valid, camera, str(header.get("source", "")))
