@@ -29,6 +29,7 @@ FAST := tests/geometry tests/formats tests/lifting tests/models tests/datasets/i
 	$(addprefix tests/inference/test_,clip_files.py handedness.py keypoints.py leaving.py placement.py records.py \
 	runtime.py tracker.py views.py) \
 	$(addprefix tests/live/test_,clip.py door.py messages.py) tests/visualization/test_view_page.py \
+	$(addprefix tests/motion/test_,bvh.py clip.py even_times.py fit.py openxr.py) \
 	$(addprefix tests/training/test_,losses.py schedule.py) \
 	$(addprefix tests/test_,architecture.py files.py pages.py plausibility.py skeleton.py)
 
