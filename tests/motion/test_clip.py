@@ -76,3 +76,11 @@ def test_hands_without_metres_are_left_out(tmp_path):
     path = write_jsonl(moving_hands(2), tmp_path / "hands.jsonl")
     changed(path, 2, lambda r: r["hands"]["left"].update(valid=False, joints_m=None, range_m=None))
     np.testing.assert_array_equal(read_motion(path).valid, [[False, True], [True, True]])
+
+
+def test_two_clips_in_one_file_are_refused(tmp_path):
+    """As a stream that was kept while a new clip began: times would begin again."""
+    path = write_jsonl(moving_hands(2), tmp_path / "hands.jsonl")
+    path.write_text(2 * path.read_text())
+    with pytest.raises(DataFormatError, match="a second header, where another clip begins"):
+        read_motion(path)

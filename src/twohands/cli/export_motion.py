@@ -1,6 +1,6 @@
 """A tracked clip for other programs: glTF, BVH, a ROS 2 bag, OpenXR's joints.
 
-Reads the hands.jsonl of `twohands track` or of the live page. glTF, BVH and bags need the extra motion.
+Reads the hands.jsonl of `twohands track` or of the live page. glTF and bags need the extra motion.
 """
 
 from __future__ import annotations

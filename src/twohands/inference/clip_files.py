@@ -176,6 +176,8 @@ def _lines_of(path: Path) -> Iterator[dict[str, Any]]:
 
 
 def _pose(path: Path, header: dict[str, Any], line: dict[str, Any]) -> TwoHandPose:
+    if "version" in line:
+        raise DataFormatError(f"{path}: a second header, where another clip begins; one clip for each file expected")
     try:
         (pose,) = from_dict({"version": 1, "frames": [{"camera": header.get("camera"), **line}]})
     except DataFormatError as error:
