@@ -61,7 +61,7 @@ class OurWeights:
     def poses(self, part: Part) -> Iterator[tuple[HandSample, TwoHandPose]]:
         """See `System`."""
         for _, samples in by_folder(part):
-            video = VideoEstimator()
+            video = VideoEstimator(decision=self.estimator.card.decision)
             for index, sample in enumerate(samples):
                 estimate = self._estimate(part, sample, index)
                 pose = video.update(estimate) if part.video else estimate(None)

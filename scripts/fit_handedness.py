@@ -304,15 +304,19 @@ def seen(estimator: HandEstimator, sample: HandSample, kind: str, scene: int, ea
 
 def outcome_of(joints_px: np.ndarray, side: int, sample: HandSample) -> int:
     """What a reported hand is, from its joints (21, 2)."""
+    true = true_side(joints_px, sample)
+    return INVENTED if true is None else RIGHTLY if true == side else WRONG_SIDE
+
+
+def true_side(joints_px: np.ndarray, sample: HandSample) -> int | None:
+    """Of the true hand whose palm these joints (21, 2) have; None where there is none."""
     palms_px = sample.joints_px[:, [WRIST, ROOT]].mean(axis=1)
     true_px = np.asarray(box_from_points(sample.joints_px))
     sizes_px = (true_px[:, 2:] - true_px[:, :2]).max(axis=1)
     off = np.linalg.norm(palms_px - joints_px[[WRIST, ROOT]].mean(axis=0), axis=1) / sizes_px
     off = np.where(sample.present & np.isfinite(off), off, np.inf)
     nearest = int(np.argmin(off))
-    if off[nearest] > NEAR:
-        return INVENTED
-    return RIGHTLY if nearest == side else WRONG_SIDE
+    return None if off[nearest] > NEAR else nearest
 
 
 def fit(pictures: Sequence[Seen], config: DecisionConfig) -> DecisionConfig:

@@ -1,11 +1,12 @@
 """Fits how sides add up over video (`inference.side_keeping`) to labelled sequences that nothing was trained on.
 
     twohands generate dynamic --split val --seed 7101 --preset wild --config.webcam 1 --frames 150 --out data/webcam
-    python scripts/fit_sides.py src/twohands/weights/fast --data data/webcam
+    python -m scripts.fit_sides src/twohands/weights/fast --data data/webcam
 
-Every frame is looked at by itself; then what it says of the sides of the true hands adds up, with shares that are kept
-and trusted as the table says. Printed is the mean of -log(chance of the true side); put the best pair into the module
-by hand.
+Every frame is looked at by itself; then what it says of the true hands goes through the memory of the pipeline, with
+one number after the other changed. Printed are the mean of -log(chance of the true side) after each frame, how many
+hands would be on the wrong side, and how far hands are seen from where they were expected; put the best into
+`inference.decision` by hand.
 """
 
 from __future__ import annotations
@@ -13,25 +14,26 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
 from typing import Final
 
 import numpy as np
+from scripts.fit_handedness import true_side
 
 from twohands.datasets.base import HandDataset
 from twohands.datasets.opening import open_dataset
 from twohands.errors import InputError, TwoHandsError
+from twohands.inference.decision import DecisionConfig
 from twohands.inference.estimator import HandEstimator
-from twohands.inference.side_keeping import LOGIT_LIMIT, SAID_LOGIT
-from twohands.skeleton import N_JOINTS, SIDES
-from twohands.types import HandSample, TwoHandPose
+from twohands.inference.side_keeping import SIGNS, SideMemory, boxes_of, said
+from twohands.types import HandPose, HandSample, TwoHandPose
 
-KEPT: Final = (0.8, 0.85, 0.9, 0.95, 0.98, 1.0)
-TRUSTED: Final = (0.1, 0.2, 0.3, 0.5, 0.7, 1.0)
-NEAR: Final = 0.4
-"""A found hand is the true one whose palm is nearer than this, as a share of the longer side of the true one's box."""
-PALM: Final = [0, 5, 9, 13, 17]
+TRIED: Final[dict[str, tuple[float, ...]]] = {
+    "side_trust": (0.1, 0.2, 0.3, 0.5, 0.7, 1.0),
+    "side_reach": (0.1, 0.2, 0.35, 0.5, 0.7),
+}
 
 
 def main() -> int:
@@ -42,72 +44,90 @@ def main() -> int:
     options = parser.parse_args()
     try:
         estimator = HandEstimator.from_preset(options.preset)
-        streams = [stream for folder in options.data for stream in streams_in(estimator, open_dataset(folder).samples)]
-        if not streams:
+        clips = [clip for folder in options.data for clip in clips_in(estimator, open_dataset(folder).samples)]
+        if not any(hand.present for clip in clips for pose in clip for hand in pose.hands):
             raise InputError("no hand was found in these sequences")
     except TwoHandsError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    alone = np.concatenate(streams)
-    wrong = 100 * (alone < 0).mean()
-    print(f"{len(streams)} hands in {len(alone)} frames; by single frames on the wrong side {wrong:.1f} %")
-    print("kept \\ trusted" + "".join(f"{trusted:10.2f}" for trusted in TRUSTED))
-    losses = np.array([[loss(streams, kept, trusted) for trusted in TRUSTED] for kept in KEPT])
-    for kept, row in zip(KEPT, losses, strict=True):
-        print(f"{kept:14.2f}" + "".join(f"{value:10.4f}" for value in row))
-    best = np.unravel_index(int(losses.argmin()), losses.shape)
-    kept, trusted = KEPT[best[0]], TRUSTED[best[1]]
-    wrong = 100 * (np.concatenate([added_up(stream, kept, trusted) for stream in streams]) < 0).mean()
-    print(f"best: KEPT_SHARE {kept}, TRUST {trusted}; then {wrong:.1f} % on the wrong side")
+    print(table(clips, estimator.card.decision), end="")
     return 0
 
 
-def streams_in(estimator: HandEstimator, samples: HandDataset | Sequence[HandSample]) -> list[np.ndarray]:
-    """What single frames say of every true hand of every sequence: (N,) log-odds of its true side, of the frames in
-    which it was found."""
-    streams = []
+def clips_in(estimator: HandEstimator, samples: HandDataset | Sequence[HandSample]) -> list[list[TwoHandPose]]:
+    """Of every sequence, what single frames say of its true hands (`on_true_sides`)."""
+    clips = []
     numbers = range(len(samples))
     for _, frames in groupby(numbers, key=lambda number: samples[number].source.rpartition("/")[0]):
-        said: tuple[list[float], list[float]] = ([], [])
-        previous = None
+        poses, previous = [], None
         for number in frames:
             sample = samples[number]
             previous = estimator.estimate(sample.image, sample.camera, index=number, previous=previous)
-            for side, values in enumerate(said):
-                values.extend(true_side_logit(previous, sample, side))
-        streams += [np.array(values) for values in said if values]
-    return streams
+            poses.append(on_true_sides(previous, sample))
+        clips.append(poses)
+    return clips
 
 
-def true_side_logit(pose: TwoHandPose, sample: HandSample, side: int) -> list[float]:
-    """Log-odds that the true hand of a side is of that side, as the frame alone says; empty where it was not found."""
-    if not sample.present[side]:
-        return []
-    true_px = sample.joints_px[side]
-    size = float(np.nanmax(np.ptp(true_px, axis=0)))
-    found: list[tuple[float, float]] = []
-    for at in range(len(SIDES)):
-        hand = pose.hands[at]
-        if hand.joints_px is not None and hand.side_logit is not None:
-            assert hand.joints_px.shape == (N_JOINTS, 2)
-            off = float(np.linalg.norm(hand.joints_px[PALM].mean(axis=0) - true_px[PALM].mean(axis=0))) / size
-            found.append((off, hand.side_logit if at == side else -hand.side_logit))
-    return [logit for off, logit in sorted(found)[:1] if off < NEAR]
+def on_true_sides(pose: TwoHandPose, sample: HandSample) -> TwoHandPose:
+    """The hands that are true ones on their true sides, with the log-odds of these; the others absent."""
+    hands = [HandPose(present=False), HandPose(present=False)]
+    for side, hand in enumerate(pose.hands):
+        true = None if hand.joints_px is None or hand.side_logit is None else true_side(hand.joints_px, sample)
+        if true is not None and hand.side_logit is not None and not hands[true].present:
+            hands[true] = replace(hand, side_logit=hand.side_logit if true == side else -hand.side_logit)
+    return replace(pose, left=hands[0], right=hands[1], masks=None)
 
 
-def added_up(stream: np.ndarray, kept: float, trusted: float) -> np.ndarray:
-    """(N,) log-odds of the true side after each of N frames, as `SideMemory.after` adds them up."""
-    total, totals = 0.0, []
-    for said in np.clip(stream, -SAID_LOGIT, SAID_LOGIT):
-        total = float(np.clip(kept * total + trusted * said, -LOGIT_LIMIT, LOGIT_LIMIT))
-        totals.append(total)
-    return np.array(totals)
+def true_side_logits(clip: Sequence[TwoHandPose], config: DecisionConfig) -> np.ndarray:
+    """(N,) log-odds of the true side of every hand of a clip, after its frame."""
+    memory, logits = SideMemory(config), []
+    for pose in clip:
+        known = memory.left_logits(boxes_of(pose))
+        logits += [
+            SIGNS[side] * known[side] + config.side_trust * said(hand)
+            for side, hand in enumerate(pose.hands)
+            if hand.present
+        ]
+        memory = memory.after(pose)
+    return np.array(logits)
 
 
-def loss(streams: Sequence[np.ndarray], kept: float, trusted: float) -> float:
-    """Mean of -log(chance of the true side) over all frames."""
-    totals = np.concatenate([added_up(stream, kept, trusted) for stream in streams])
-    return float(np.logaddexp(0.0, -totals).mean())
+def loss(clips: Sequence[Sequence[TwoHandPose]], config: DecisionConfig) -> tuple[float, int]:
+    """Mean of -log(chance of the true side) over all hands, and how many are on the wrong side."""
+    logits = np.concatenate([true_side_logits(clip, config) for clip in clips])
+    return float(np.logaddexp(0.0, -logits).mean()), int((logits < 0).sum())
+
+
+def spread(clips: Sequence[Sequence[TwoHandPose]], config: DecisionConfig) -> float:
+    """Root mean square, along one axis, of how far hands are seen from where they were expected, over their sizes."""
+    squares = []
+    for clip in clips:
+        memory = SideMemory(config)
+        for pose in clip:
+            for box_px, track in zip(boxes_of(pose), memory.tracks, strict=True):
+                if track is not None and not track.unseen and np.isfinite(box_px).all():
+                    off = (box_px[:2] + box_px[2:]) / 2 - track.middle - track.step
+                    squares.append(float((off**2).mean()) / track.size**2)
+            memory = memory.after(pose)
+    return float(np.sqrt(np.mean(squares))) if squares else float("nan")
+
+
+def table(clips: Sequence[Sequence[TwoHandPose]], config: DecisionConfig) -> str:
+    """All that was tried, as markdown."""
+    alone = np.array([said(hand) for clip in clips for pose in clip for hand in pose.hands if hand.present])
+    lines = [
+        f"{len(clips)} sequences, {sum(map(len, clips))} frames, {len(alone)} hands; by single frames "
+        f"{(alone < 0).sum()} on the wrong side. Hands are seen {spread(clips, config):.3f} of their size from where "
+        "they were expected (one axis, root mean square).",
+        "",
+        "| number | value | -log(chance of the true side) | on the wrong side |",
+        "| --- | ---: | ---: | ---: |",
+    ]
+    for name, values in TRIED.items():
+        for value in values:
+            mean, wrong = loss(clips, replace(config, **{name: value}))
+            lines.append(f"| {name} | {value:g} | {mean:.4f} | {wrong} |")
+    return "\n".join(lines) + "\n"
 
 
 if __name__ == "__main__":

@@ -18,6 +18,14 @@ def prose(page: Path) -> str:
     return re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
 
 
+def sentences(text: str) -> list[str]:
+    """Of a page's prose: paragraphs and items of lists, without headings, tables and pictures."""
+    lines = [line for line in text.splitlines() if not line.lstrip().startswith(("|", "#", "![", "<"))]
+    blocks = re.split(r"\n\s*\n|\n\s*(?:[-*]|\d+\.) |^\s*(?:[-*]|\d+\.) ", "\n".join(lines), flags=re.MULTILINE)
+    plain = (re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", " ".join(block.split())) for block in blocks)
+    return [part for block in plain for part in re.split(r"(?<=[.!?])(?<!e\.g\.)(?<!i\.e\.) ", block) if part]
+
+
 def anchors(page: Path) -> set[str]:
     """Of its headings, as GitHub makes them."""
     headings = re.findall(r"^#+ (.*)$", prose(page), flags=re.MULTILINE)
@@ -40,6 +48,18 @@ def test_links_lead_somewhere(page: Path) -> None:
 def test_pages_hold_no_marks_of_a_merge(page: Path) -> None:
     """Named case: docs/video.md showed both sides of a conflict."""
     assert not re.search(r"^(<{7} |={7}$|>{7} )", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if page.parent in (ROOT, ROOT / "docs")], ids=str)
+def test_sentences_are_short_on_average(page: Path) -> None:
+    """At most 25 words; tables, headings and code do not count."""
+    lengths = [len(re.findall(r"\w[\w'.-]*", sentence)) for sentence in sentences(prose(page))]
+    assert sum(lengths) <= 25 * len(lengths), f"{sum(lengths) / len(lengths):.1f} words a sentence"
+
+
+def test_sentences_are_told_apart() -> None:
+    text = "# Heading\n\nOne `a.b` of e.g. x.\nTwo: [a link](to.md). Three\n\n- four\n- five, or\n  so\n\n| a. | c |\n"
+    assert sentences(text) == ["One `a.b` of e.g. x.", "Two: a link.", "Three", "four", "five, or so"]
 
 
 @pytest.mark.parametrize("name", SHORT)
@@ -69,3 +89,16 @@ def test_sources_name_pages_and_headings_that_exist() -> None:
             if heading:
                 headings = re.findall(r"^#+ (.*)$", (ROOT / page).read_text(encoding="utf-8"), flags=re.MULTILINE)
                 assert any(known.startswith(heading) for known in headings), f"{path}: {page}, {heading}"
+
+
+def test_names_that_contributing_gives_stand_in_the_files_of_their_row() -> None:
+    """What a newcomer is told to look for is there."""
+    table = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8").split("## House rules")[0]
+    names = 0
+    for row in re.findall(r"^\| .*", table, flags=re.MULTILINE):
+        files = [ROOT / "src/twohands" / name for name in re.findall(r"`([\w/]+\.py)`", row)]
+        texts = [file.read_text(encoding="utf-8") for file in files if file.exists()]
+        for name in re.findall(r"`([A-Z]\w+|\w+_\w+)(?:\.\w+)?`", row) if texts else ():
+            assert any(re.search(rf"\b{name}\b", text) for text in texts), f"{name}: {row[:40]}"
+            names += 1
+    assert names > 12

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -16,6 +17,7 @@ from benchmarks.real_scores import Measured
 from tests.oracles import write_tiny_weights
 
 from twohands.errors import InputError
+from twohands.inference.decision import DecisionConfig
 from twohands.inference.estimator import HandEstimator
 from twohands.skeleton import LEFT, RIGHT
 from twohands.types import HandPose, TwoHandPose
@@ -129,6 +131,8 @@ def test_videos_come_one_by_one_and_whole(shared):
 
 class Recorder:
     """Finds a left hand in every picture, and notes what it is told of the frame before."""
+
+    card = SimpleNamespace(decision=DecisionConfig())
 
     def __init__(self):
         self.told = []

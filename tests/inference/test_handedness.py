@@ -30,7 +30,7 @@ MEETING = np.array([[1, 0, 4, 1], [3, 0, 5, 1.0]])
 APART = np.array([[1, 0, 3, 1], [3, 0, 5, 1.0]])
 BOXES = np.array([[20.0, 10, 60, 50], [120, 20, 140, 30]])
 NOTHING = BoxEvidence(*np.zeros((4, 2, 2)))
-RULES = DecisionConfig({"pose": 1.0, "swapped": -1.0, "merged_pose": 1.0, "both": -0.5}, {"first": 1.0}, lenience=0.0)
+RULES = DecisionConfig({"pose": 1.0, "swapped": -1.0, "merged_pose": 1.0, "both": -0.5}, {"first": 1.0})
 
 
 def known(own, mirrored=(NO, NO), boxes_px=BOXES, **more) -> Evidence:
@@ -120,13 +120,6 @@ def test_scores_and_chances_by_hand():
     assert found.source.tolist() == [0, 1]
     left, right = (weights[[1, 3]].sum(), weights[[0, 2]].sum()), (weights[2:].sum(), weights[:2].sum())
     np.testing.assert_allclose(found.logits, [np.log(left[0] / left[1]), np.log(right[0] / right[1])])
-
-
-def test_leniency_leaves_doubtful_hands_to_the_last_look():
-    lenient = dataclasses.replace(RULES, lenience=2.0)
-    found = assign_handedness(known([-1.5, -2.5]), lenient)
-    assert found.source.tolist() == [0, -1] and found.logits[0] < 0
-    assert assign_handedness(known([-1.5, -2.5]), RULES).source.tolist() == [-1, -1]
 
 
 def test_features_of_a_hand_by_hand():

@@ -8,14 +8,8 @@ from tests.oracles import drawn_hands
 
 from twohands.errors import InputError
 from twohands.geometry.boxes import box_from_points
-from twohands.inference.side_keeping import (
-    KEPT_SHARE,
-    MEMORY_FRAMES,
-    NOTHING_KNOWN,
-    TRUST,
-    SideKeeper,
-    with_sides_exchanged,
-)
+from twohands.inference.decision import LOGIT_LIMIT, DecisionConfig
+from twohands.inference.side_keeping import NOTHING_KNOWN, SideKeeper, with_sides_exchanged
 from twohands.inference.video import VideoEstimator
 from twohands.skeleton import LEFT, ROOT
 from twohands.types import HandPose, TwoHandPose
@@ -74,7 +68,8 @@ def test_whoever_insists_is_believed_and_both_changes_count():
         updated(keeper, pose_of(index))
     sides = [is_left(updated(keeper, pose_of(20 + i, exchanged=True)).left) for i in range(20)]
     held = sides.index(False)
-    assert held == 4, "the fifth contrary frame changes it"
+    contrary = LOGIT_LIMIT / (DecisionConfig().side_trust * LOGIT_LIMIT)
+    assert held == int(contrary), "the fourth contrary frame changes it"
     assert not any(sides[held:])
     assert keeper.changes == 2
 
@@ -117,16 +112,36 @@ def test_a_place_is_forgotten_after_a_while():
     keeper = SideKeeper()
     for index in range(5):
         updated(keeper, pose_of(index, present=(True, False)))
-    for index in range(5, 6 + MEMORY_FRAMES):
+    for index in range(5, 11):
         updated(keeper, pose_of(index, present=(False, False)))
     assert not updated(keeper, pose_of(20, present=(True, False), exchanged=True)).left.present
     assert keeper.changes == 0
 
 
-def test_an_estimator_that_knows_how_sure_it_is_has_decided_itself():
-    """Its hands stay as they are; what every frame says adds up, a part of it is forgotten, and a followed frame says
-    nothing."""
+def test_a_hand_that_is_not_seen_is_forgotten_as_fast_as_others_are_learnt():
+    """By hand: 6 is known, and seven tenths of it for every frame without the hand, until a single frame may say more
+    (0.3 of 6)."""
     memory = NOTHING_KNOWN
+    for index in range(8):
+        memory = memory.after(pose_of(index, present=(True, False)))
+    box_px = np.array([box_from_points(SAMPLE.joints_px[LEFT])])
+    for expected in (6.0, 4.2, 2.94, 2.058, 0.0):
+        np.testing.assert_allclose(memory.left_logits(box_px), [expected])
+        memory = memory.after(replace(pose_of(9), left=ABSENT, right=ABSENT))
+
+
+def test_the_card_says_how_sides_add_up():
+    """An estimator that is never trusted changes nothing; one trusted wholly needs a single frame."""
+    deaf, quick = (SideKeeper(DecisionConfig(side_trust=trust)) for trust in (0.0, 1.0))
+    for keeper, held in ((deaf, True), (quick, True)):
+        updated(keeper, pose_of(0))
+        assert is_left(updated(keeper, pose_of(1)).left) == held
+    assert deaf.memory.tracks[LEFT].logit == 0.0 and quick.memory.tracks[LEFT].logit == LOGIT_LIMIT
+
+
+def test_an_estimator_that_knows_how_sure_it_is_has_decided_itself():
+    """Its hands stay as they are; what every frame says adds up in part, and a followed frame says nothing."""
+    memory, trust = NOTHING_KNOWN, DecisionConfig().side_trust
 
     def said(pose, logit):
         left, right = (replace(hand, side_logit=logit) for hand in pose.hands)
@@ -134,11 +149,11 @@ def test_an_estimator_that_knows_how_sure_it_is_has_decided_itself():
 
     memory = memory.after(said(pose_of(0), 2.0))
     boxes_px = np.array([box_from_points(SAMPLE.joints_px[side]) for side in range(2)])
-    once = TRUST * 2.0
-    np.testing.assert_allclose(memory.left_logits(boxes_px), KEPT_SHARE * once * np.array([1, -1]), atol=0.05)
+    once = trust * 2.0
+    np.testing.assert_allclose(memory.left_logits(boxes_px), once * np.array([1, -1]), atol=0.05)
     memory = memory.after(said(pose_of(1), -1.0))
-    twice = KEPT_SHARE * once - TRUST
-    np.testing.assert_allclose(memory.left_logits(boxes_px), KEPT_SHARE * twice * np.array([1, -1]), atol=0.05)
+    twice = once - trust
+    np.testing.assert_allclose(memory.left_logits(boxes_px), twice * np.array([1, -1]), atol=0.05)
     rested = memory.after(replace(pose_of(2), followed=True))
     np.testing.assert_allclose(rested.left_logits(boxes_px), memory.left_logits(boxes_px))
     assert not memory.left_logits(boxes_px + 1000).any(), "nothing is known of a hand in another place"

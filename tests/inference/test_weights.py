@@ -92,7 +92,7 @@ def test_a_folder_is_taken_before_a_shipped_preset_of_its_name(tiny, tmp_path, m
         (lambda card: card["placement"].update(range_errors=[0.04, 0]), "range_errors must be"),
         (lambda card: card["placement"].update(range_errors=0.04), "card: "),
         (lambda card: card["placement"].update(ray_share="half"), "card: "),
-        (lambda card: card["decision"].update(lenience=float("nan")), "card: "),
+        (lambda card: card["decision"].update(side_trust=float("nan")), "card: "),
         (lambda card: card["decision"].update(leniense=0.5), "decision names unknown settings, leniense"),
         (lambda card: card["decision"].update(first={"hands": 1}), "decision.first weighs unknown features, hands"),
         (lambda card: card["decision"].update(last={"hand": float("inf")}), "decision.last must hold finite weights"),
@@ -116,11 +116,11 @@ def test_a_bad_card_is_refused(copied, change, message):
 
 def test_a_card_overrides_any_setting_and_the_record_names_all_of_them(copied):
     card = json.loads((copied / "card.json").read_text())
-    decision = {"first": {"pose": 1, "hand": -2.5}, "last": {"first": 1}, "fit": {"seed": 1}, "lenience": 1}
+    decision = {"first": {"pose": 1, "hand": -2.5}, "last": {"first": 1}, "fit": {"seed": 1}, "side_trust": 1}
     card |= {"decision": decision, "placement": {"range_errors": [0.04, 0.1]}, "views": {"tta_views": []}}
     (copied / "card.json").write_text(json.dumps(card))
     found = read_card(copied)
-    assert found.decision == DecisionConfig({"pose": 1.0, "hand": -2.5}, {"first": 1.0}, {"seed": 1}, lenience=1.0)
+    assert found.decision == DecisionConfig({"pose": 1.0, "hand": -2.5}, {"first": 1.0}, {"seed": 1}, side_trust=1.0)
     assert found.hand_logit is found.decides is False
     assert found.placement == PlacementConfig(range_errors=(0.04, 0.1))
     assert found.views == ViewConfig()

@@ -17,9 +17,11 @@ from twohands.errors import InputError
 from twohands.formats.profiles import IntrinsicsSource, ScaleSource
 from twohands.inference.background import Behind, ahead
 from twohands.inference.clip_files import JSONL, ClipFiles
+from twohands.inference.decision import DecisionConfig
 from twohands.inference.frames import CameraFrames, Frame, VideoFrames
 from twohands.inference.look_ahead import LookAhead
 from twohands.inference.range_sigma import with_sources
+from twohands.inference.tracker import DEFAULT_SMOOTHING
 from twohands.inference.trail import Trail
 from twohands.inference.video import VideoEstimator
 from twohands.types import PinholeCamera, TwoHandPose
@@ -48,6 +50,7 @@ class ClipJob:
         overlay: write the overlay as well.
         weights: what estimates.
         more: what else the header of hands.jsonl says.
+        decision: of the weights' card; None for an estimator that has none.
     """
 
     source: str
@@ -60,6 +63,7 @@ class ClipJob:
     overlay: bool
     weights: str
     more: dict[str, Any]
+    decision: DecisionConfig | None = None
 
 
 @dataclass
@@ -115,7 +119,7 @@ def write_clip(
         OSError: the disk is full, or the folder cannot be written; what was written until then stays.
     """
     causal = job.smooth and not job.look_ahead_s
-    tally, video = Tally(), VideoEstimator() if causal else VideoEstimator(None)
+    tally, video = Tally(), VideoEstimator(DEFAULT_SMOOTHING if causal else None, decision=job.decision)
     smoother = LookAhead(job.look_ahead_s) if job.smooth and job.look_ahead_s else None
     waiting: deque[np.ndarray] = deque()
     started = time.monotonic()

@@ -183,6 +183,7 @@ class ClipTracker:
             self.overlay,
             estimator.card.name,
             {"config": estimator.card.settings()},
+            estimator.card.decision,
         )
         try:
             with VideoFrames(path, start_s=self.start_s, end_s=self.end_s, stride=self.stride) as frames:

@@ -184,7 +184,7 @@ def _one_by_one(
     clip: Path, estimator: HandEstimator, count: int, peer: MediaPipeHands | None, out: Path
 ) -> tuple[dict[str, np.ndarray], np.ndarray | None, int, int, float]:
     """Every stage by itself."""
-    clock, video = StageClock(), VideoEstimator()
+    clock, video = StageClock(), VideoEstimator(decision=estimator.card.decision)
     timed = timed_estimate(estimator, clock)
     rows: list[list[float]] = []
     peer_ms: list[float] = []
@@ -247,6 +247,7 @@ def _together(clip: Path, estimator: HandEstimator, end_s: float, out: Path) -> 
         overlay=True,
         weights=estimator.card.name,
         more={},
+        decision=estimator.card.decision,
     )
     with VideoFrames(clip, end_s=math.nextafter(end_s, math.inf)) as frames:
         return write_clip(job, frames, estimator.estimate).seconds

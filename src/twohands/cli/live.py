@@ -16,14 +16,13 @@ from typing import Annotated, Literal
 
 import tyro
 
+from twohands.cli.estimators import opened
 from twohands.cli.known import known_by
 from twohands.cli.process import EndedBySignal
 from twohands.cli.track import option
 from twohands.errors import InputError
-from twohands.inference.estimator import HandEstimator
 from twohands.inference.frames import CAMERA_PREFIX, Frame, open_frames
 from twohands.inference.weights import DEFAULT_PRESET
-from twohands.lifting.mediapipe_estimator import MediaPipeEstimator
 from twohands.live.clip import LiveClip
 from twohands.live.door import LOOPBACK, Door, check_door
 from twohands.live.messages import Settings
@@ -89,18 +88,13 @@ def run(args: LiveArgs) -> int:
         frames: tuple[str, Iterable[Frame]] | None = None
         if name is not None:
             frames = name, stack.enter_context(open_frames(name))
-        if args.estimator == "mediapipe":
-            peer = stack.enter_context(MediaPipeEstimator(args.peer_python, model=args.mediapipe_model, video=True))
-            estimate, weights, more = peer.estimate, peer.name, {}
-        else:
-            ours = HandEstimator.from_preset(args.weights)
-            estimate, weights, more = ours.estimate, ours.card.name, {"config": ours.card.settings()}
+        found = opened(stack, args.estimator, args.weights, args.peer_python, args.mediapipe_model)
         port = listening.getsockname()[1]
 
         def camera_for(fov_deg: float | None, width: int, height: int) -> PinholeCamera:
             return replace(known, fov_deg=fov_deg).camera_of(width, height)[0]
 
-        clip = LiveClip(estimate, camera_for, weights, more, settings, avatar)
+        clip = LiveClip(found.estimate, camera_for, found.weights, found.more, settings, avatar, found.decision)
         page = live_page(
             {
                 "camera": name,

@@ -26,6 +26,7 @@ import tyro
 from twohands.batch.clip import ClipJob, sourced
 from twohands.batch.stores import is_remote
 from twohands.batch.tracker import ClipTracker
+from twohands.cli.estimators import opened
 from twohands.cli.known import camera_assumption, known_by
 from twohands.cli.output import check_output_folder, write_file
 from twohands.cli.track_clip import check_look_ahead, check_times, default_out, track_clip
@@ -39,7 +40,6 @@ from twohands.inference.known import Known
 from twohands.inference.range_sigma import with_sources
 from twohands.inference.records import to_dict
 from twohands.inference.weights import DEFAULT_PRESET
-from twohands.lifting.mediapipe_estimator import MediaPipeEstimator
 from twohands.skeleton import SIDES
 from twohands.types import PinholeCamera, TwoHandPose
 from twohands.visualization.overlay import draw_overlay
@@ -245,12 +245,7 @@ def _track_clip(args: TrackArgs, known: Known) -> int:
         frames = stack.enter_context(open_frames(args.input, start_s=start_s, end_s=end_s, stride=args.stride))
         if args.overlay:
             load_av()
-        if args.estimator == "mediapipe":
-            peer = stack.enter_context(MediaPipeEstimator(args.peer_python, model=args.mediapipe_model, video=True))
-            estimator, weights, more = peer.estimate, peer.name, {}
-        else:
-            ours = HandEstimator.from_preset(args.weights)
-            estimator, weights, more = ours.estimate, ours.card.name, {"config": ours.card.settings()}
+        found = opened(stack, args.estimator, args.weights, args.peer_python, args.mediapipe_model)
         _say_assumptions(known)
         job = ClipJob(
             args.input,
@@ -261,11 +256,12 @@ def _track_clip(args: TrackArgs, known: Known) -> int:
             args.smooth,
             look_ahead_s,
             args.overlay,
-            weights,
-            more,
+            found.weights,
+            found.more,
+            found.decision,
         )
-        camera_source = "assumed" if known.camera_source is None else known.camera_source
-        return track_clip(job, frames, sourced(estimator, known.scale_source, camera_source), lines=args.json)
+        estimate = sourced(found.estimate, known.scale_source, known.camera_source or "assumed")
+        return track_clip(job, frames, estimate, lines=args.json)
 
 
 def _say_assumptions(known: Known) -> None:

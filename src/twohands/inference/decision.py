@@ -66,6 +66,8 @@ class ViewConfig:
     """
     smallest_box_px: float = 8.0
     """Where the joints of a hand span less than this of the picture, there is nothing to see."""
+    uncertain_lead: float = UNCERTAIN_LEAD
+    """The background's lead, in logits, below which a pixel is perhaps a hand's: for masks and crops."""
     agreement_share: float = 0.04
     """How far, as a share of the hand's longer side, views see a joint from their median when they are said to agree
     half. 0.02 to 0.06 are alike (docs/history/journal.md, *Where looks agree*)."""
@@ -77,6 +79,9 @@ class ViewConfig:
             raise CheckpointError(f"card: views.tta_rolls_deg must be angles, got {list(self.tta_rolls_deg)}")
 
 
+LOGIT_LIMIT: Final = 6.0
+"""Log-odds are limited to this size, as features, over a clip and of what one frame says: a network may be sure and
+wrong."""
 FIRST_FEATURES: Final = (
     *("hand", "swapped", "energy", "energy_other", "lead", "lead_other", "share"),
     *("pose", "pose_contrast", "mirror_unseen", "joints", "joints_contrast"),
@@ -112,10 +117,11 @@ class DecisionConfig:
     """`hand_logit` of any candidate below which PoseNet2D sees the mirror images too."""
     same_place_iou: float = 0.4
     """Two candidates whose boxes overlap this much are in one place, and also seen as one hand."""
-    lenience: float = 2.0
-    """Log-odds below 0 down to which the first decision leaves it to the last one whether a candidate is a hand."""
-    uncertain_lead: float = UNCERTAIN_LEAD
-    """The background's lead, in logits, below which a pixel is perhaps a hand's: for masks and crops alone."""
+    side_trust: float = 0.3
+    """Of the log-odds of a side that a frame of a clip says, what is added to what is known: the frames of a clip err
+    alike, so that they say less together than apart. A hand that is not seen loses this share with every frame."""
+    side_reach: float = 0.2
+    """Standard deviation of where a hand is seen from where it was expected, in sizes of its box."""
 
     def __post_init__(self) -> None:
         for name, known in (("first", FIRST_FEATURES), ("last", LAST_FEATURES)):

@@ -22,7 +22,7 @@ import numpy as np
 
 from twohands.geometry.boxes import box_iou
 from twohands.geometry.segmentation import BoxEvidence, log_odds
-from twohands.inference.decision import FIRST_FEATURES, LAST_FEATURES, DecisionConfig
+from twohands.inference.decision import FIRST_FEATURES, LAST_FEATURES, LOGIT_LIMIT, DecisionConfig
 from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
 from twohands.types import TwoHandPose
 
@@ -30,8 +30,6 @@ ANSWERS: Final = ((-1, -1), (0, -1), (1, -1), (-1, 0), (-1, 1), (0, 1), (1, 0))
 """Every answer: the candidate that is the LEFT hand and the one that is the RIGHT hand, -1 for none."""
 KEPT: Final = ((False, False), (True, False), (False, True), (True, True))
 """Every last answer: whether LEFT and RIGHT are hands."""
-LOGIT_LIMIT: Final = 6.0
-"""Log-odds are limited to this size as features: a network may be sure and wrong."""
 _USUAL_SCORE: Final = 0.8
 """Joint scores are counted from here; the weight of "hand" makes up for any other value."""
 
@@ -123,15 +121,14 @@ class LastLook:
 
 
 def assign_handedness(evidence: Evidence, config: DecisionConfig) -> Assignment:
-    """Which candidate is which hand, before `rescore`: the most probable answer, where every hand counts
-    `DecisionConfig.lenience` more than it should."""
-    return best_answer(answer_scores(first_features(evidence), weight_vector(config.first, FIRST_FEATURES)), config)
+    """Which candidate is which hand, before `rescore`: the most probable answer."""
+    return best_answer(answer_scores(first_features(evidence), weight_vector(config.first, FIRST_FEATURES)))
 
 
-def best_answer(scores: np.ndarray, config: DecisionConfig) -> Assignment:
-    """What `assign_handedness` makes of the scores (7,) of all answers."""
+def best_answer(scores: np.ndarray) -> Assignment:
+    """The most probable of all answers, from their scores (7,)."""
     chances, sources = probabilities(scores), np.array(ANSWERS)
-    best = sources[int(np.argmax(scores + config.lenience * (sources >= 0).sum(axis=1)))]
+    best = sources[int(np.argmax(scores))]
     logits = log_odds(np.array([chances[sources[:, side] == best[side]].sum() for side in (LEFT, RIGHT)]))
     return Assignment(best, np.where(best >= 0, logits, np.nan))
 

@@ -165,4 +165,4 @@ def candidate_boxes(
 
 def hand_masks(card: WeightsCard, maps: HandMaps, image_size: tuple[int, int], present: np.ndarray) -> np.ndarray:
     """(H, W) uint8 `masks_from_logits` of the hands, (2,) bool, that are there."""
-    return masks_from_logits(maps.seg_logits, image_size, present, card.decision.uncertain_lead)
+    return masks_from_logits(maps.seg_logits, image_size, present, card.views.uncertain_lead)

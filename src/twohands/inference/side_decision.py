@@ -35,7 +35,7 @@ def assign_in_clip(evidence: Evidence, config: DecisionConfig, memory: SideMemor
     """
     features, weights = first_features(evidence), weight_vector(config.first, FIRST_FEATURES)
     scores = answer_scores(features, weights) + _side_scores(memory.left_logits(evidence.boxes_px))
-    assignment = best_answer(scores, config)
+    assignment = best_answer(scores)
     weights[_BEFORE] = 0.0
     said = left_logits(probabilities(answer_scores(features, weights)))
     sides = np.where(assignment.source >= 0, SIGNS * said[assignment.source], np.nan)

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from twohands.errors import InputError
+from twohands.inference.decision import DecisionConfig
 from twohands.inference.following import REST_FRAMES
 from twohands.inference.leaving import CARRIED_FRAMES
 from twohands.inference.side_keeping import SideKeeper
@@ -30,6 +31,7 @@ class VideoEstimator:
         smoothing: of the ranges; None leaves them, and leaving hands, as they are.
         carried_frames: for how many frames a leaving hand is carried on.
         rest_frames: for how many frames in a row HandSegNet may rest while both hands are followed; 0 for never.
+        decision: of the weights' card, how what frames say of sides adds up.
 
     Attributes:
         frames: how many there were, over all clips.
@@ -45,12 +47,13 @@ class VideoEstimator:
         *,
         carried_frames: int = CARRIED_FRAMES,
         rest_frames: int = REST_FRAMES,
+        decision: DecisionConfig | None = None,
     ) -> None:
         if rest_frames < 0:
             raise InputError(f"rest frames must be 0 or more, got {rest_frames}")
         self._tracker = None if smoothing is None else HandTracker(smoothing, carried_frames)
         self._rest_frames = rest_frames
-        self._sides = SideKeeper()
+        self._sides = SideKeeper(decision)
         self.frames = self.rested = 0
         self.reset()
 

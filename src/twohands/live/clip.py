@@ -10,6 +10,7 @@ import numpy as np
 
 from twohands.errors import InputError
 from twohands.inference.clip_files import frame_line, header_line
+from twohands.inference.decision import DecisionConfig
 from twohands.inference.trail import Trail
 from twohands.inference.video import VideoEstimator
 from twohands.live.messages import Settings
@@ -43,6 +44,7 @@ class LiveClip:
         more: what else headers say.
         settings: of the first clip.
         listener: who else is told; None for nobody.
+        decision: of the weights' card; None for an estimator that has none.
     """
 
     def __init__(
@@ -53,13 +55,14 @@ class LiveClip:
         more: Mapping[str, Any],
         settings: Settings,
         listener: Listener | None = None,
+        decision: DecisionConfig | None = None,
     ) -> None:
         self._estimate = estimate
         self._camera_for = camera_for
         self._weights = weights
         self._more = dict(more)
         self._listener = listener
-        self._video = VideoEstimator()
+        self._video = VideoEstimator(decision=decision)
         self.begin(settings)
 
     def begin(self, settings: Settings) -> None:

@@ -74,7 +74,7 @@ def predict_with(dataset: OpenedDataset, system: System, count: int | None) -> P
                     model=system.mediapipe_model,
                 )
             )
-            name, settings = peer.name, peer.settings
+            name, settings, decision = peer.name, peer.settings, None
 
             def estimate(sample: HandSample, previous: Trail | None = None, index: int = 0) -> TwoHandPose:
                 return replace(peer(sample), index=index)
@@ -84,10 +84,11 @@ def predict_with(dataset: OpenedDataset, system: System, count: int | None) -> P
             targets = HeatmapTargets.from_folder(preset_folder(system.weights))
             estimate = TruthfulEstimator(estimator, system.truth, targets)
             name = weights_id(preset_folder(system.weights), estimator.card)
-            settings = _settings(estimator, system)
+            settings, decision = _settings(estimator, system), estimator.card.decision
         if system.smooth:
             settings |= {"smoothed": True, "carried_frames": CARRIED_FRAMES, "rest_frames": system.rest_frames}
-        system_under_test = _Video(estimate, system.rest_frames) if system.smooth else estimate
+        video = VideoEstimator(rest_frames=system.rest_frames, decision=decision)
+        system_under_test = _Video(estimate, video) if system.smooth else estimate
         predictions = predict(samples, system_under_test, dataset=dataset.samples.name, weights=name, settings=settings)
     return replace(predictions, command=this_command())
 
@@ -104,9 +105,9 @@ def _settings(estimator: HandEstimator, system: System) -> dict[str, Any]:
 class _Video:
     """An estimator over the frames of folders, each a clip of its own (`inference.video`)."""
 
-    def __init__(self, estimate: Callable[[HandSample, Trail | None, int], TwoHandPose], rest_frames: int) -> None:
+    def __init__(self, estimate: Callable[[HandSample, Trail | None, int], TwoHandPose], video: VideoEstimator) -> None:
         self._estimate = estimate
-        self._video = VideoEstimator(rest_frames=rest_frames)
+        self._video = video
         self._folder: str | None = None
         self._frame = 0
 
