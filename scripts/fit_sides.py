@@ -27,12 +27,13 @@ from twohands.datasets.opening import open_dataset
 from twohands.errors import InputError, TwoHandsError
 from twohands.inference.decision import DecisionConfig
 from twohands.inference.estimator import HandEstimator
-from twohands.inference.side_keeping import SIGNS, SideMemory, boxes_of, said
+from twohands.inference.side_keeping import SIGNS, SideMemory, boxes_of
 from twohands.types import HandPose, HandSample, TwoHandPose
 
 TRIED: Final[dict[str, tuple[float, ...]]] = {
     "side_trust": (0.1, 0.2, 0.3, 0.5, 0.7, 1.0),
-    "side_reach": (0.1, 0.2, 0.35, 0.5, 0.7),
+    "side_reach": (0.1, 0.15, 0.2, 0.25, 0.35, 0.5),
+    "side_limit": (3.0, 4.0, 6.0, 8.0, 12.0),
 }
 
 
@@ -84,9 +85,7 @@ def true_side_logits(clip: Sequence[TwoHandPose], config: DecisionConfig) -> np.
     for pose in clip:
         known = memory.left_logits(boxes_of(pose))
         logits += [
-            SIGNS[side] * known[side] + config.side_trust * said(hand)
-            for side, hand in enumerate(pose.hands)
-            if hand.present
+            SIGNS[side] * known[side] + memory.said(hand) for side, hand in enumerate(pose.hands) if hand.present
         ]
         memory = memory.after(pose)
     return np.array(logits)
@@ -114,7 +113,9 @@ def spread(clips: Sequence[Sequence[TwoHandPose]], config: DecisionConfig) -> fl
 
 def table(clips: Sequence[Sequence[TwoHandPose]], config: DecisionConfig) -> str:
     """All that was tried, as markdown."""
-    alone = np.array([said(hand) for clip in clips for pose in clip for hand in pose.hands if hand.present])
+    alone = np.array(
+        [SideMemory(config).said(hand) for clip in clips for pose in clip for hand in pose.hands if hand.present]
+    )
     lines = [
         f"{len(clips)} sequences, {sum(map(len, clips))} frames, {len(alone)} hands; by single frames "
         f"{(alone < 0).sum()} on the wrong side. Hands are seen {spread(clips, config):.3f} of their size from where "

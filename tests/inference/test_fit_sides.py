@@ -7,7 +7,7 @@ import pytest
 from scripts.fit_sides import clips_in, loss, on_true_sides, spread, table, true_side_logits
 from tests.oracles import Oracle, drawn_hands, make_card, restaged
 
-from twohands.inference.decision import LOGIT_LIMIT, DecisionConfig
+from twohands.inference.decision import DecisionConfig
 from twohands.types import HandPose, TwoHandPose
 
 SAMPLE = drawn_hands(1)
@@ -25,7 +25,7 @@ def found(logits, joints_px=SAMPLE.joints_px) -> TwoHandPose:
 def test_what_is_said_adds_up():
     """Hands that stand still and far apart; a frame says no more than the limit, a quarter of which counts."""
     clip = [found((said, said)) for said in (2.0, -1.0, 90.0, 0.5)]
-    expected = np.cumsum([0.5, -0.25, 0.25 * LOGIT_LIMIT, 0.125])
+    expected = np.cumsum([0.5, -0.25, 0.25 * 6, 0.125])
     np.testing.assert_allclose(true_side_logits(clip, CONFIG), np.repeat(expected, 2), atol=0.1)
     assert loss([[found((0.0, 0.0))]], CONFIG) == (pytest.approx(np.log(2)), 0)
     assert loss([[found((-1.0, 1.0))]], CONFIG)[1] == 1

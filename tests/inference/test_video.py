@@ -8,7 +8,7 @@ from tests.oracles import drawn_hands
 
 from twohands.errors import InputError
 from twohands.geometry.boxes import box_from_points
-from twohands.inference.decision import LOGIT_LIMIT, DecisionConfig
+from twohands.inference.decision import DecisionConfig
 from twohands.inference.side_keeping import NOTHING_KNOWN, SideKeeper, with_sides_exchanged
 from twohands.inference.video import VideoEstimator
 from twohands.skeleton import LEFT, ROOT
@@ -68,8 +68,7 @@ def test_whoever_insists_is_believed_and_both_changes_count():
         updated(keeper, pose_of(index))
     sides = [is_left(updated(keeper, pose_of(20 + i, exchanged=True)).left) for i in range(20)]
     held = sides.index(False)
-    contrary = LOGIT_LIMIT / (DecisionConfig().side_trust * LOGIT_LIMIT)
-    assert held == int(contrary), "the fourth contrary frame changes it"
+    assert held == int(1 / DecisionConfig().side_trust) == 3, "the fourth contrary frame changes it"
     assert not any(sides[held:])
     assert keeper.changes == 2
 
@@ -136,7 +135,7 @@ def test_the_card_says_how_sides_add_up():
     for keeper, held in ((deaf, True), (quick, True)):
         updated(keeper, pose_of(0))
         assert is_left(updated(keeper, pose_of(1)).left) == held
-    assert deaf.memory.tracks[LEFT].logit == 0.0 and quick.memory.tracks[LEFT].logit == LOGIT_LIMIT
+    assert deaf.memory.tracks[LEFT].logit == 0.0 and quick.memory.tracks[LEFT].logit == 6.0
 
 
 def test_an_estimator_that_knows_how_sure_it_is_has_decided_itself():

@@ -16,6 +16,7 @@ from torch import nn
 
 from twohands.errors import InputError
 from twohands.export.onnx import export_network
+from twohands.files import write_whole
 from twohands.inference.weights import network_files, read_card, write_card
 from twohands.models.checkpoint import load_network, read_note
 from twohands.models.pose_net_2d import PoseNet2D
@@ -113,5 +114,5 @@ def average_preset(
         if name in means:
             export_network(means[name], folder / path.name, card["training"][name], card["pose_net_2d"]["map_size"])
         else:
-            (folder / path.name).write_bytes(path.read_bytes())
+            write_whole(folder / path.name, path.read_bytes())
     write_card(folder, card)

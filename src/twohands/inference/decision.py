@@ -79,9 +79,6 @@ class ViewConfig:
             raise CheckpointError(f"card: views.tta_rolls_deg must be angles, got {list(self.tta_rolls_deg)}")
 
 
-LOGIT_LIMIT: Final = 6.0
-"""Log-odds are limited to this size, as features, over a clip and of what one frame says: a network may be sure and
-wrong."""
 FIRST_FEATURES: Final = (
     *("hand", "swapped", "energy", "energy_other", "lead", "lead_other", "share"),
     *("pose", "pose_contrast", "mirror_unseen", "joints", "joints_contrast"),
@@ -122,6 +119,9 @@ class DecisionConfig:
     alike, so that they say less together than apart. A hand that is not seen loses this share with every frame."""
     side_reach: float = 0.2
     """Standard deviation of where a hand is seen from where it was expected, in sizes of its box."""
+    side_limit: float = 6.0
+    """No frame is believed beyond these log-odds of a side, and none becomes surer over a clip. They are also those of
+    an estimator that names sides without saying how sure it is."""
 
     def __post_init__(self) -> None:
         for name, known in (("first", FIRST_FEATURES), ("last", LAST_FEATURES)):

@@ -22,7 +22,7 @@ import numpy as np
 
 from twohands.geometry.boxes import box_iou
 from twohands.geometry.segmentation import BoxEvidence, log_odds
-from twohands.inference.decision import FIRST_FEATURES, LAST_FEATURES, LOGIT_LIMIT, DecisionConfig
+from twohands.inference.decision import FIRST_FEATURES, LAST_FEATURES, DecisionConfig
 from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
 from twohands.types import TwoHandPose
 
@@ -30,6 +30,8 @@ ANSWERS: Final = ((-1, -1), (0, -1), (1, -1), (-1, 0), (-1, 1), (0, 1), (1, 0))
 """Every answer: the candidate that is the LEFT hand and the one that is the RIGHT hand, -1 for none."""
 KEPT: Final = ((False, False), (True, False), (False, True), (True, True))
 """Every last answer: whether LEFT and RIGHT are hands."""
+LOGIT_LIMIT: Final = 6.0
+"""Log-odds are limited to this size as features: a network may be sure and wrong."""
 _USUAL_SCORE: Final = 0.8
 """Joint scores are counted from here; the weight of "hand" makes up for any other value."""
 

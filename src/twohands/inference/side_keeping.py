@@ -2,8 +2,8 @@
 
 A picture alone often leaves it open whose hand it is, and an estimator of single pictures then changes its mind from
 frame to frame. A hand seen where a hand was a moment ago is that hand; the log-odds of its side are those of before
-and, in part, what this frame says. So a side changes only after several frames have said so. Both numbers are in
-`DecisionConfig`; ours; the paper's networks see every frame alone.
+and, in part, what this frame says. So a side changes only after several frames have said so. Its three numbers are in
+`DecisionConfig`. Ours; the paper's networks see every frame alone.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from twohands.geometry.boxes import box_from_points
-from twohands.inference.decision import LOGIT_LIMIT, DecisionConfig
+from twohands.inference.decision import DecisionConfig
 from twohands.skeleton import LEFT, RIGHT
 from twohands.types import HandPose, TwoHandPose
 
@@ -91,18 +91,24 @@ class SideMemory:
                 continue
             middle, size = (box_px[:2] + box_px[2:]) / 2, float((box_px[2:] - box_px[:2]).max())
             step = np.zeros(2) if track is None or track.unseen else middle - track.middle
-            if pose.followed and track is not None:
-                logit = track.logit
-            else:
-                logit = SIGNS[side] * known[side] + self.config.side_trust * said(hand)
-            tracks.append(Track(middle, size, step, _limited(logit)))
+            kept = None if track is None or not pose.followed else track.logit
+            logit = SIGNS[side] * known[side] + self.said(hand) if kept is None else kept
+            tracks.append(Track(middle, size, step, self._limited(logit)))
         return replace(self, tracks=(tracks[LEFT], tracks[RIGHT]))
+
+    def said(self, hand: HandPose) -> float:
+        """What a frame adds to the log-odds that a hand is of its side; the most where it does not say how surely."""
+        limit = self.config.side_limit
+        return self.config.side_trust * (limit if hand.side_logit is None else self._limited(hand.side_logit))
 
     def changed(self, pose: TwoHandPose) -> int:
         """How many hands of the next frame are clearly where the other side's hand should be."""
         near = self.nearness(boxes_of(pose))
         own, other = near.diagonal(), near[:, ::-1].diagonal()
         return int(((other > _SAME) & (other > 2 * own)).sum())
+
+    def _limited(self, logit: float) -> float:
+        return float(min(max(logit, -self.config.side_limit), self.config.side_limit))
 
     def _unseen(self, side: int, other: np.ndarray) -> Track | None:
         """A hand that this frame does not show, forgotten as fast as others are learnt; None where it has become the
@@ -111,7 +117,9 @@ class SideMemory:
         if track is None or other[side] > max(_SAME, other[1 - side]):
             return None
         logit = track.logit * (1 - trust)
-        return None if abs(logit) < trust * LOGIT_LIMIT else replace(track, unseen=track.unseen + 1, logit=logit)
+        if abs(logit) < trust * self.config.side_limit:
+            return None
+        return replace(track, unseen=track.unseen + 1, logit=logit)
 
 
 NOTHING_KNOWN: Final = SideMemory()
@@ -149,9 +157,10 @@ class SideKeeper:
         if not there or any(pose.hands[side].side_logit is not None for side in there):
             return pose
         known = self.memory.left_logits(boxes_of(pose))
-        if sum(SIGNS[side] * known[side] + self.memory.config.side_trust * LOGIT_LIMIT for side in there) >= 0:
+        if sum(SIGNS[side] * known[side] + self.memory.said(pose.hands[side]) for side in there) >= 0:
             return pose
-        left, right = (replace(hand, side_logit=-LOGIT_LIMIT) if hand.present else hand for hand in pose.hands)
+        limit = self.memory.config.side_limit
+        left, right = (replace(hand, side_logit=-limit) if hand.present else hand for hand in pose.hands)
         return with_sides_exchanged(replace(pose, left=left, right=right))
 
     def remember(self, pose: TwoHandPose) -> None:
@@ -173,19 +182,9 @@ def boxes_of(pose: TwoHandPose) -> np.ndarray:
     return np.array([_box(hand) for hand in pose.hands])
 
 
-def said(hand: HandPose) -> float:
-    """Log-odds that a hand is of its side, as its frame says; the most that is believed where nobody has said how sure
-    it is."""
-    return LOGIT_LIMIT if hand.side_logit is None else _limited(hand.side_logit)
-
-
 def _box(hand: HandPose) -> np.ndarray:
     if not hand.present:
         return np.full(4, np.nan)
     if hand.box_px is not None:
         return np.asarray(hand.box_px, np.float64)
     return np.full(4, np.nan) if hand.joints_px is None else np.asarray(box_from_points(hand.joints_px))
-
-
-def _limited(logit: float) -> float:
-    return float(min(max(logit, -LOGIT_LIMIT), LOGIT_LIMIT))

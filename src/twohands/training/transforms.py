@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from twohands.errors import InputError
+from twohands.synth.render.sensor import streak
 
 
 @dataclass(frozen=True)
@@ -100,7 +101,8 @@ def jitter_colours(image: np.ndarray, config: PhotometricConfig, rng: np.random.
     if config.blur and rng.random() < 0.5:
         out = cv2.GaussianBlur(out, (0, 0), rng.uniform(0.2, 0.2 + config.blur))
     if config.motion and rng.random() < 0.3:
-        out = cv2.filter2D(out, -1, _streak(rng.uniform(1, 1 + config.motion), rng.uniform(0, np.pi)))
+        length, angle = rng.uniform(1, 1 + config.motion), rng.uniform(0, np.pi)
+        out = cv2.filter2D(out, -1, streak(length * np.array([np.cos(angle), np.sin(angle)])))
     if config.coarse and rng.random() < 0.3:
         height, width = out.shape[:2]
         factor = 2.0 ** rng.uniform(0, config.coarse)
@@ -168,16 +170,6 @@ def nearest_cells(count: int, of: int) -> np.ndarray:
     cv2.INTER_NEAREST takes the cell's corner instead, which moves labels right and down.
     """
     return ((np.arange(count) + 0.5) * of / count).astype(int)
-
-
-def _streak(length: float, angle: float) -> np.ndarray:
-    """(n, n) float32 kernel of an even move by `length` pixels in the direction `angle` (radians), centred; sum 1."""
-    size = 2 * int(np.ceil(length / 2)) + 1
-    kernel = np.zeros((size, size), np.float32)
-    along = np.linspace(-0.5, 0.5, 4 * size) * length
-    cells = np.rint(size // 2 + along[:, None] * [np.sin(angle), np.cos(angle)]).astype(int)
-    np.add.at(kernel, (cells[:, 0], cells[:, 1]), 1)
-    return kernel / kernel.sum()
 
 
 def _noise_field(shape: tuple[int, int], rng: np.random.Generator) -> np.ndarray:

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from twohands.synth.render.sensor import IDEAL, expose, sample_sensor, sample_webcam
+from twohands.synth.render.sensor import IDEAL, expose, sample_sensor, sample_webcam, streak
 
 
 def rng():
@@ -91,3 +91,17 @@ def test_sharpening_draws_halos_and_shrinking_takes_detail():
     lines[:, ::2] = 255
     small = expose(lines, dataclasses.replace(IDEAL, shrink=0.5), np.random.default_rng(0))
     assert small.std() < 20 < lines.std()
+
+
+def test_a_streak_is_an_even_move():
+    """Along eight pixels each cell gets an eighth, the two at the ends half of that; a turn exchanges rows and columns,
+    and the kernel leaves brightness and middle as they are."""
+    across = streak(np.array([8.0, 0.0]))
+    np.testing.assert_allclose(across[4], np.array([1, 2, 2, 2, 2, 2, 2, 2, 1]) / 16, atol=0.01)
+    assert across.sum() == pytest.approx(1) and not np.delete(across, 4, axis=0).any()
+    np.testing.assert_allclose(streak(np.array([0.0, 8.0])), across.T, atol=1e-6)
+    slanted = streak(np.array([5.0, -3.0]))
+    rows, columns = np.indices(slanted.shape) - len(slanted) // 2
+    assert slanted.sum() == pytest.approx(1)
+    np.testing.assert_allclose([(slanted * rows).sum(), (slanted * columns).sum()], 0, atol=1e-5)
+    assert (slanted * rows * columns).sum() < 0

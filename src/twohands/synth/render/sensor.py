@@ -117,7 +117,7 @@ def expose(image: np.ndarray, sensor: Sensor, rng: np.random.Generator) -> np.nd
     if sensor.defocus_px * scale > 0.2:
         image = np.asarray(cv2.GaussianBlur(image, (0, 0), sensor.defocus_px * scale))
     if np.hypot(*sensor.shake_px) * scale > 1:
-        image = np.asarray(cv2.filter2D(image, -1, _streak(sensor.shake_px * scale), borderType=cv2.BORDER_REPLICATE))
+        image = np.asarray(cv2.filter2D(image, -1, streak(sensor.shake_px * scale), borderType=cv2.BORDER_REPLICATE))
     if sensor.read_noise or sensor.shot_noise:
         level = sensor.read_noise + sensor.shot_noise * np.sqrt(np.arange(256, dtype=np.float32) / 255)
         noisy = rng.standard_normal(image.shape, dtype=np.float32)  # changed in place: new arrays take as long to fill
@@ -135,7 +135,7 @@ def expose(image: np.ndarray, sensor: Sensor, rng: np.random.Generator) -> np.nd
     return image if sensor.shrink == 1.0 else np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_LINEAR))
 
 
-def _streak(shift: np.ndarray) -> np.ndarray:
+def streak(shift: np.ndarray) -> np.ndarray:
     """(n, n) float32 kernel of a straight, even move by `shift` (2,) pixels, centred; sums to 1."""
     size = 2 * int(np.ceil(np.abs(shift).max() / 2)) + 1
     kernel = np.zeros((size, size), np.float32)
