@@ -66,13 +66,9 @@ def predict_with(dataset: OpenedDataset, system: System, count: int | None) -> P
         if system.peer == "mediapipe":
             if system.truth:
                 raise InputError("--truth replaces stages of our pipeline; a peer has none of them")
+            python, model = system.peer_python, system.mediapipe_model
             peer = stack.enter_context(
-                MediaPipeHands(
-                    system.peer_python,
-                    handedness=system.handedness,
-                    placement=system.placement,
-                    model=system.mediapipe_model,
-                )
+                MediaPipeHands(python, handedness=system.handedness, placement=system.placement, model=model)
             )
             name, settings, decision = peer.name, peer.settings, None
 
@@ -81,16 +77,16 @@ def predict_with(dataset: OpenedDataset, system: System, count: int | None) -> P
 
         else:
             estimator = HandEstimator.from_preset(system.weights)
-            targets = HeatmapTargets.from_folder(preset_folder(system.weights))
-            estimate = TruthfulEstimator(estimator, system.truth, targets)
-            name = weights_id(preset_folder(system.weights), estimator.card)
-            settings, decision = _settings(estimator, system), estimator.card.decision
+            folder = preset_folder(system.weights)
+            estimate = TruthfulEstimator(estimator, system.truth, HeatmapTargets.from_folder(folder))
+            name, decision = weights_id(folder, estimator.card), estimator.card.decision
+            settings = _settings(estimator, system)
         if system.smooth:
             settings |= {"smoothed": True, "carried_frames": CARRIED_FRAMES, "rest_frames": system.rest_frames}
         video = VideoEstimator(rest_frames=system.rest_frames, decision=decision)
-        system_under_test = _Video(estimate, video) if system.smooth else estimate
-        predictions = predict(samples, system_under_test, dataset=dataset.samples.name, weights=name, settings=settings)
-    return replace(predictions, command=this_command())
+        tested = _Video(estimate, video) if system.smooth else estimate
+        found = predict(samples, tested, dataset=dataset.samples.name, weights=name, settings=settings)
+    return replace(found, command=this_command())
 
 
 def _settings(estimator: HandEstimator, system: System) -> dict[str, Any]:
