@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -82,6 +83,12 @@ def modules(package: Path) -> list[Path]:
     return sorted(path for path in package.rglob("*.py"))
 
 
+@cache
+def tree(source: str) -> ast.Module:
+    """A module's syntax, which many rules look at."""
+    return ast.parse(source)
+
+
 def imported(source: str, module: str, *, at_import_time_only: bool = False) -> set[str]:
     """Full dotted names a module imports; `module` is its own dotted name, to resolve relative imports.
 
@@ -106,7 +113,7 @@ def imported(source: str, module: str, *, at_import_time_only: bool = False) -> 
         for child in ast.iter_child_nodes(node):
             visit(child)
 
-    visit(ast.parse(source))
+    visit(tree(source))
     return names
 
 
@@ -193,11 +200,16 @@ def spoken(source: str, module: str) -> set[str]:
     script may speak as well."""
     if room_of(module) in ("cli", "__main__"):
         return set()
-    body = [node for node in ast.parse(source).body if not ast.unparse(node).startswith("if __name__ == '__main__'")]
+    body = [
+        node for node in tree(source).body if not (isinstance(node, ast.If) and "__main__" in ast.unparse(node.test))
+    ]
     nodes = [node for statement in body for node in ast.walk(statement)]
-    found = {"print" for node in nodes if isinstance(node, ast.Call) and ast.unparse(node.func) == "print"}
+    called = {node.func.id for node in nodes if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)}
+    found = called & {"print"}
     if module not in SPEAKERS:
-        found |= {ast.unparse(node) for node in nodes if isinstance(node, ast.Attribute)} & STREAMS
+        ends = {stream.rpartition(".")[2] for stream in STREAMS}
+        streams = [node for node in nodes if isinstance(node, ast.Attribute) and node.attr in ends]
+        found |= {ast.unparse(node) for node in streams} & STREAMS
         found |= imported(source, module) & STREAMS
     return found | {root for root in (name.split(".")[0] for name in imported(source, module)) if root in ONLY_CLI}
 
