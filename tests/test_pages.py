@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import re
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
+
+from twohands.inference.decision import DecisionConfig
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
@@ -102,3 +105,14 @@ def test_names_that_contributing_gives_stand_in_the_files_of_their_row() -> None
             assert any(re.search(rf"\b{name}\b", text) for text in texts), f"{name}: {row[:40]}"
             names += 1
     assert names > 12
+
+
+def test_every_number_that_decides_is_on_its_page_with_a_script() -> None:
+    """Six at most, the values as in the code; the threshold of networks without a fitted decision is the seventh."""
+    page = (ROOT / "docs/decision.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| ([\d.]+) \| [^|]+ \| `(scripts/\w+\.py)` \|", page, flags=re.MULTILINE)
+    defaults = DecisionConfig()
+    numbers = {field.name for field in fields(defaults) if isinstance(getattr(defaults, field.name), float)}
+    assert len(rows) <= 6 and {name for name, _, _ in rows} == numbers - {"presence_threshold"}
+    for name, value, script in rows:
+        assert getattr(defaults, name) == float(value) and (ROOT / script).exists(), name
