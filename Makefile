@@ -23,7 +23,7 @@ test: environment
 # The trainer's loader forks, which a process that has held an OpenGL context does not survive: a run of its own.
 	OMP_NUM_THREADS=1 $(BIN)/pytest --numprocesses auto --maxprocesses 4 tests/training
 
-# What renders nothing, trains nothing and runs no shipped weights; add new files by that rule. 40 seconds of processor time.
+# What renders nothing, trains nothing and runs no shipped weights; add new files by that rule. A minute of processor time.
 FAST := tests/geometry tests/formats tests/lifting tests/models tests/datasets/inspection \
 	$(addprefix tests/evaluation/test_,metrics.py comparison.py protocols.py importing.py results.py) \
 	$(addprefix tests/inference/test_,clip_files.py handedness.py keypoints.py leaving.py placement.py records.py \
