@@ -1,28 +1,32 @@
-"""Fits the `range_errors` of a preset's card (`inference.placement`), and how large it says their errors are, to
-labelled pictures that it was not trained on.
+"""Fits the `range_errors` and `range_sigma` of a preset's card (`inference.placement`) to labelled pictures that it was
+not trained on.
 
-    python scripts/fit_range_errors.py src/twohands/weights/fast --data HELD_OUT HELD_OUT_2
+    python scripts/fit_range_errors.py src/twohands/weights/fast --data SET SET_2 --backgrounds PHOTOS [--write]
 
-Prints the numbers, how many ranges are right without and with them, and how many lie within the standard deviation that
-is said of them; put them on the card by hand.
+A set is a folder of labelled pictures, or of frames as `twohands generate frames` makes them, before photographs. Every
+set counts alike. Prints the numbers, how many ranges are right without and with them, and how many lie within the
+standard deviation that is said of them; `--write` puts them on the card.
 """
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
+import itertools
+import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from twohands.datasets.opening import open_dataset
 from twohands.errors import InputError, TwoHandsError
+from twohands.files import appearing
 from twohands.inference.decision import PlacementConfig
 from twohands.inference.estimator import HandEstimator
-from twohands.inference.placement import palm_misfit, posterior, posterior_ranges
+from twohands.inference.placement import palm_misfit, palm_span, posterior_ranges, range_sigma
 from twohands.skeleton import N_JOINTS, ROOT, WRIST
 from twohands.types import GlobalPose, HandPose, HandSample, PinholeCamera
 
@@ -33,44 +37,91 @@ STEPS: Final = 9
 ROUNDS: Final = 4
 """Each narrows the span of values to a third."""
 BARS_M: Final = (0.035, 0.0525, 0.07)
+WITHIN: Final = 0.683
+"""Share of errors that lie within one standard deviation."""
+POWERS: Final = np.linspace(0, 1.5, 16)
+SPAN_POWERS: Final = np.linspace(-3, 3, 13)
+CARD: Final = "card.json"
 
 
 class Ranges(NamedTuple):
     """Of the hands found in one picture, one or both, each (B,) but the scores: estimated metres, joints' scores
-    (B, 21), true metres, NaN where there is no such hand, and the palm's misfit in hand lengths."""
+    (B, 21), true metres, NaN where there is no such hand, and the palm's misfit and span in hand lengths."""
 
     estimated: np.ndarray
     scores: np.ndarray
     true: np.ndarray
     misfit: np.ndarray
+    span: np.ndarray
+
+
+class Off(NamedTuple):
+    """Of all hands of one set, each (N,): errors of their likely ranges as shares, scores (N, 21), misfits and spans of
+    their palms."""
+
+    errors: np.ndarray
+    scores: np.ndarray
+    misfit: np.ndarray
+    span: np.ndarray
 
 
 def main() -> int:
     """Reads the options, looks at the pictures and prints."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("preset", type=Path, help="weights folder")
-    parser.add_argument("--data", nargs="+", required=True, help="folders of labelled pictures")
+    parser.add_argument("--data", type=Path, nargs="+", required=True, help="folders of labelled pictures or of frames")
+    parser.add_argument("--backgrounds", nargs="+", help="of frames; invented ones if not given")
+    parser.add_argument("--count", type=int, help="pictures of a set; all if not given")
+    parser.add_argument("--write", action="store_true", help="put the numbers on the preset's card")
     options = parser.parse_args()
     try:
         shipped = HandEstimator.from_preset(options.preset)
         config = dataclasses.replace(shipped.card.placement, range_errors=None)
         estimator = HandEstimator(shipped.networks, dataclasses.replace(shipped.card, placement=config))
-        found = [ranges_in(estimator, sample) for folder in options.data for sample in open_dataset(folder).samples]
-        errors = fitted([one for one in found if np.isfinite(one.true).any()])
+        sets = [
+            found_in(estimator, itertools.islice(samples_of(folder, options.backgrounds), options.count))
+            for folder in options.data
+        ]
+        errors = fitted([one for found in sets for one in found])
+        off = [said_errors(found, errors) for found in sets]
+        sigma = fitted_sigma(off)
+        said = {"range_errors": [round(value, 3) for value in errors], "range_sigma": [round(v, 3) for v in sigma]}
+        print(json.dumps(said))
+        for folder, found, one in zip(options.data, sets, off, strict=True):
+            print(f"{folder.name}: {len(one.errors)} hands, {share_within(one, sigma):.3f} within one sigma")
+            print_errors(found, errors)
+        if options.write:
+            write_to_card(options.preset / CARD, said)
     except TwoHandsError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    scale, power = fitted_sigma(found, errors)
-    print(f'"range_errors": [{errors[0]:.3f}, {errors[1]:.3f}], "sigma_scale": {scale:.2f}, "sigma_power": {power:.2f}')
-    (share, spread, misfit), usual = said_errors(found, errors), PlacementConfig().usual_spread
-    print(f"within one standard deviation: {(share < np.minimum(scale * spread * misfit**power, usual)).mean():.3f}")
-    for name, chosen in (("as projected", None), ("likely", errors)):
-        off = np.concatenate([np.abs(likely(one, chosen) - one.true) for one in found])
-        off = off[np.isfinite(off)]
-        shares = ", ".join(f"{(off < bar).mean():.4f} within {100 * bar:g} cm" for bar in BARS_M)
-        mean, median = 100 * off.mean(), 100 * np.median(off)
-        print(f"{name}: {len(off)} hands, {shares}, mean {mean:.2f} cm, median {median:.2f} cm")
     return 0
+
+
+def samples_of(folder: Path, backgrounds: Sequence[str] | None) -> Iterable[HandSample]:
+    """Labelled pictures of a folder.
+
+    Raises:
+        TwoHandsError: it holds none.
+    """
+    from twohands.synth.sets.cache import FrameCache
+
+    if not FrameCache.is_cache(folder):
+        samples = open_dataset(folder).samples
+        return (samples[i] for i in range(len(samples)))
+    from twohands.training.config import DataConfig, folder_list
+    from twohands.training.sources import backgrounds_of
+
+    cache = FrameCache(
+        folder, backgrounds_of(DataConfig(backgrounds=folder_list(backgrounds))) if backgrounds else None
+    )
+    return (cache[i] for i in range(len(cache)))
+
+
+def found_in(estimator: HandEstimator, samples: Iterable[HandSample]) -> list[Ranges]:
+    """Pictures in which a labelled hand was found."""
+    found = [ranges_in(estimator, sample) for sample in samples]
+    return [one for one in found if np.isfinite(one.true).any()]
 
 
 def ranges_in(estimator: HandEstimator, sample: HandSample) -> Ranges:
@@ -82,7 +133,8 @@ def ranges_in(estimator: HandEstimator, sample: HandSample) -> Ranges:
     estimated = np.array([pose.hands[side].range_m for side in sides], np.float64)
     scores = np.array([pose.hands[side].joint_scores for side in sides], np.float64).reshape(-1, N_JOINTS)
     misfit = [misfit_of(pose.hands[side], sample.camera) for side in sides]
-    return Ranges(estimated, scores, true[sides], np.array(misfit, np.float64))
+    canonical = np.array([pose.hands[side].canonical for side in sides], np.float64).reshape(-1, N_JOINTS, 3)
+    return Ranges(estimated, scores, true[sides], np.array(misfit, np.float64), palm_span(canonical))
 
 
 def misfit_of(hand: HandPose, camera: PinholeCamera) -> float:
@@ -116,38 +168,64 @@ def fitted(found: Sequence[Ranges]) -> tuple[float, float]:
     return float(np.exp(best[0])), float(np.exp(best[1]))
 
 
-def fitted_sigma(found: Sequence[Ranges], errors: tuple[float, float]) -> tuple[float, float]:
-    """`sigma_scale` and `sigma_power`: the power under which errors over their standard deviation are likeliest, taken
-    for Laplacian, and the scale within which 68.3 % of them lie."""
-    off, spread, misfit = said_errors(found, errors)
-    powers = np.linspace(0, 1.5, 31)
-
-    def lack(power: float) -> float:
-        sigma = spread * misfit**power
-        return float(np.log((off / sigma).mean()) + np.log(sigma).mean())
-
-    power = float(min(powers, key=lack))
-    return float(np.quantile(off / (spread * misfit**power), 0.683)), power
-
-
-def said_errors(found: Sequence[Ranges], errors: tuple[float, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of all hands, each (N,): errors of their likely ranges as shares, standard deviations of the posterior, and
-    misfits over the typical one."""
-    config = PlacementConfig(range_errors=errors)
-    rows = []
-    for one in found:
-        ranges, spread = posterior(one.estimated, one.scores, config)
-        rows.append(np.stack([np.abs(one.true / ranges - 1), spread, one.misfit / config.sigma_misfit]))
-    off, spread, misfit = np.concatenate(rows, axis=1)
-    known = np.isfinite(off)
-    return off[known], spread[known], misfit[known]
-
-
 def loss(found: Sequence[Ranges], errors: tuple[float, float]) -> float:
     """Mean smoothed size of the errors of the likely ranges' logarithms."""
     off = np.abs(np.concatenate([np.log(likely(one, errors) / one.true) for one in found]))
     off = off[np.isfinite(off)]
     return float(np.where(off < SMOOTH, off**2 / (2 * SMOOTH), off - SMOOTH / 2).mean())
+
+
+def said_errors(found: Sequence[Ranges], errors: tuple[float, float] | None) -> Off:
+    """The errors of likely ranges beside what tells how large they are."""
+    off = np.concatenate([np.abs(one.true / likely(one, errors) - 1) for one in found])
+    known = np.isfinite(off)
+    told = (np.concatenate([getattr(one, name) for one in found])[known] for name in ("scores", "misfit", "span"))
+    return Off(off[known], *told)
+
+
+def fitted_sigma(sets: Sequence[Off]) -> tuple[float, float, float, float]:
+    """`range_sigma`: the powers under which errors over their standard deviation are likeliest, taken for Laplacian,
+    and the share within which 68.3 % of them lie; every set counts alike."""
+    off = Off(*(np.concatenate(parts) for parts in zip(*sets, strict=True)))
+    weights = np.concatenate([np.full(len(one.errors), 1 / len(one.errors)) for one in sets])
+    weights /= weights.sum()
+
+    def shape(powers: tuple[float, float, float]) -> np.ndarray:
+        config = PlacementConfig(range_sigma=(1.0, *powers), usual_spread=np.inf)
+        return range_sigma(off.scores, off.misfit, off.span, config)
+
+    def lack(powers: tuple[float, float, float]) -> float:
+        sigma = shape(powers)
+        return float(np.log(weights @ (off.errors / sigma)) + weights @ np.log(sigma))
+
+    best = min(itertools.product(POWERS.tolist(), POWERS.tolist(), SPAN_POWERS.tolist()), key=lack)
+    over = off.errors / shape(best)
+    order = np.argsort(over)
+    share = over[order][np.searchsorted(np.cumsum(weights[order]), WITHIN)]
+    return float(share), *best
+
+
+def share_within(off: Off, sigma: tuple[float, float, float, float]) -> float:
+    """How many errors lie within what is said of them."""
+    said = range_sigma(off.scores, off.misfit, off.span, PlacementConfig(range_sigma=sigma))
+    return float((off.errors < said).mean())
+
+
+def print_errors(found: Sequence[Ranges], errors: tuple[float, float]) -> None:
+    """Errors of ranges as projected, and as they are likely."""
+    for name, chosen in (("as projected", None), ("likely", errors)):
+        off = np.concatenate([np.abs(likely(one, chosen) - one.true) for one in found])
+        off = off[np.isfinite(off)]
+        shares = ", ".join(f"{(off < bar).mean():.4f} within {100 * bar:g} cm" for bar in BARS_M)
+        print(f"  {name}: {shares}, mean {100 * off.mean():.2f} cm, median {100 * np.median(off):.2f} cm")
+
+
+def write_to_card(path: Path, numbers: dict[str, Any]) -> None:
+    """Puts numbers into the section placement of a card, which keeps all else."""
+    card = json.loads(path.read_text(encoding="utf-8"))
+    card["placement"] = {**card.get("placement", {}), **numbers}
+    with appearing(path) as partial:
+        partial.write_text(json.dumps(card, indent=2) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -55,7 +55,7 @@ class PinholeCamera:
             if not math.isfinite(value):
                 raise InputError(f"camera: {name} must be a finite number, got {value}")
             if name in ("fx", "fy", "width", "height") and value <= 0:
-                raise InputError(f"camera: {name} must be positive, got {value}")
+                raise InputError(f"camera: {name} must be positive, got {value:g}")
             if name in ("width", "height") and value > MAX_SIDE_PX:
                 raise InputError(f"camera: {name} must be at most {MAX_SIDE_PX} pixels, got {value:g}")
             if abs(value) > MAX_FOCAL_PX:

@@ -1,4 +1,4 @@
-"""The hand's length: from the board's plane, and from one taped distance."""
+"""The hand's length from the board's plane."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from tests.calibration.rendered import board_pose, picture_of_board
 from tests.calibration.test_board import CAMERA
 
 from twohands.calibration.board import BoardView, corners_m, find_board
-from twohands.calibration.hand import JOINT_HEIGHT, length_at_distance, length_on_board
+from twohands.calibration.hand import JOINT_HEIGHT, length_on_board
 from twohands.calibration.hand import board_pose as pose_of_board
 from twohands.errors import InputError
 from twohands.geometry.camera import project
@@ -60,14 +60,3 @@ def test_a_hand_beyond_the_paper_s_horizon_is_refused():
     view = BoardView(np.arange(len(pixels)), pixels, (640, 360))
     with pytest.raises(InputError, match="not seen on the paper"):
         length_on_board(joints, view, CAMERA)
-
-
-def test_the_length_from_a_taped_distance_makes_the_median_right():
-    ranges = [0.36, 0.40, 0.44, float("nan"), 0.41, 0.39]
-    length = length_at_distance(ranges, 0.5, 0.1)
-    assert length == pytest.approx(0.1 * 0.5 / 0.40)
-    assert np.nanmedian(np.array(ranges) * length / 0.1) == pytest.approx(0.5)
-    with pytest.raises(InputError, match="no hand was found"):
-        length_at_distance([float("nan")], 0.5, 0.1)
-    with pytest.raises(InputError, match="positive number of metres, got 0"):
-        length_at_distance([0.4], 0.0, 0.1)

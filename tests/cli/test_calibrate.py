@@ -3,7 +3,6 @@
 import json
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -12,7 +11,6 @@ from tests.calibration.rendered import board_pose
 from tests.calibration.test_board import CAMERA
 from tests.calibration.test_camera import around, exact_view
 from tests.calibration.test_hand import LENGTH_M, flat_hand
-from tests.oracles import make_card
 
 from twohands.calibration.board import BoardView, corners_m
 from twohands.cli import calibrate
@@ -20,6 +18,7 @@ from twohands.cli.main import main
 from twohands.formats.camera_files import read_camera
 from twohands.formats.profiles import Profile, read_profile
 from twohands.geometry.camera import project
+from twohands.skeleton import ROOT, WRIST
 from twohands.types import HandPose, PinholeCamera, TwoHandPose
 
 
@@ -46,15 +45,9 @@ def hands(monkeypatch, *found: HandPose | None) -> list[PinholeCamera]:
     asked: list[PinholeCamera] = []
 
     class Estimator:
-        card = make_card(placement={"range_errors": (0.1, 0.2)})
-        networks = None
-
-        def __init__(self, networks, card) -> None:
-            assert card.placement.range_errors is None, "ranges as projected"
-
         @classmethod
         def from_preset(cls, preset):
-            return SimpleNamespace(networks=None, card=cls.card)
+            return cls()
 
         def estimate(self, image, camera):
             asked.append(camera)
@@ -67,7 +60,13 @@ def hands(monkeypatch, *found: HandPose | None) -> list[PinholeCamera]:
 
 
 def at_range(range_m: float) -> HandPose:
-    return HandPose(True, joints_px=np.zeros((21, 2)), range_m=range_m, valid=True)
+    """A hand of 10 cm in the middle of a picture of 640x360 whose field of view is assumed. What it says of its range
+    is drawn towards what is usual."""
+    canonical = np.random.default_rng(6).uniform(-0.7, 0.7, (21, 3)) * [1, 1, 0.02]
+    canonical[ROOT], canonical[WRIST] = 0, (0, 1, 0)
+    focal = 320 / np.tan(np.radians(30))
+    pixels = [320, 180] + focal * canonical[:, :2] * 0.1 / (range_m + 0.1 * canonical[:, 2:])
+    return HandPose(True, joints_px=pixels, canonical=canonical, range_m=0.47, range_sigma_m=0.03, valid=True)
 
 
 def run(*arguments: object) -> int:
@@ -140,9 +139,17 @@ def test_a_taped_distance_keeps_length_and_camera_together(tmp_path, monkeypatch
     assert run("hand", "--at", "50cm", folder, "--profile", "me") == 0
     said = capsys.readouterr()
     assert "hand length 12.5 cm, 12.2 to 12.8 over 3 pictures" in said.out
-    assert "assuming a field of view of 60 degrees" in said.err
+    assert "assuming a field of view of 60 degrees" in said.err and "right to about 9 %" in said.out
     kept = read_profile("me")
-    assert kept == Profile(asked[0], "assumed", pytest.approx(0.125), "distance")
+    assert kept == Profile(asked[0], "assumed", pytest.approx(0.125, rel=2e-3), "distance")
+
+
+def test_pictures_of_two_sizes_at_a_distance_are_refused(tmp_path, monkeypatch, capsys):
+    hands(monkeypatch, at_range(0.4), at_range(0.4))
+    folder = pictures(tmp_path / "in", 1)
+    cv2.imwrite(str(folder / "01.png"), np.full((180, 320, 3), 1, np.uint8))
+    assert run("hand", "--at", "50cm", folder) == 2
+    assert "pictures of one camera and size" in capsys.readouterr().err
 
 
 def test_a_new_camera_drops_the_length_of_a_taped_distance(tmp_path, monkeypatch, capsys):

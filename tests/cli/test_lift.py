@@ -44,12 +44,19 @@ def test_json_npz_and_csv_hold_the_same_metres(folder, capsys):
         np.testing.assert_allclose(arrays["range_m"], [ROOT_RANGES] * 2, atol=1e-9)
         np.testing.assert_allclose(arrays["joints_m"][1], SAMPLE.joints_m, atol=1e-9)
         assert arrays["files"].tolist() == ["0.png", "1.png"] and arrays["time_s"].tolist() == [0, 1 / 30]
+        np.testing.assert_allclose(arrays["between_hands_m"][1], np.diff(SAMPLE.joints_m[:, 9], axis=0)[0], atol=1e-9)
+        assert arrays["overlap"][1] == pytest.approx(poses[1].overlap, abs=1e-4)
+        assert (arrays["scale_source"] == "typed").all() and (arrays["intrinsics_source"] == "file").all()
     np.testing.assert_allclose([hand.range_m for hand in poses[1].hands], ROOT_RANGES, atol=1e-6)
     rows = list(csv.DictReader((folder / "out.csv").read_text().splitlines()))
     assert len(rows) == 2 * 2 * 21 and rows[9]["name"] == "middle_1"
     np.testing.assert_allclose(
         [float(rows[9][axis]) for axis in ("x_m", "y_m", "z_m")], SAMPLE.joints_m[0, 9], atol=1e-9
     )
+    assert (rows[0]["scale_source"], rows[0]["intrinsics_source"]) == ("typed", "file")
+    between = [float(rows[0][f"between_hands_{axis}_m"]) for axis in "xyz"]
+    np.testing.assert_allclose(between, SAMPLE.joints_m[1, 9] - SAMPLE.joints_m[0, 9], atol=1e-9)
+    assert float(rows[0]["overlap"]) == pytest.approx(poses[0].overlap, abs=1e-4)
 
 
 def test_the_hand_length_is_that_of_track(folder, capsys):

@@ -1,5 +1,12 @@
 """`twohands live`: what it refuses before anything is opened, and what it tells the page."""
 
+import json
+import queue
+import threading
+import time
+
+import cv2
+import numpy as np
 import pytest
 
 pytest.importorskip("starlette")
@@ -50,5 +57,58 @@ def test_the_page_knows_what_was_given_and_ctrl_c_is_the_end(tmp_path, monkeypat
     assert main(["live", *arguments]) == 0
     captured = capsys.readouterr()
     assert captured.out.startswith("live at http://127.0.0.1:") and "live has ended" in captured.err
-    known = '{"camera": null, "hand_length_cm": 11.5, "fov_deg": 70.0, "mirrored": true, "camera_file": false}'
+    known = (
+        '{"camera": null, "hand_length_cm": 11.5, "fov_deg": 70.0, "mirrored": true, "camera_file": false, '
+        '"scale_source": "typed", "ours": true}'
+    )
     assert f'<script id="live" type="application/json">{known}</script>' in pages[0]
+
+
+def test_a_camera_of_this_machine_from_its_capture_to_a_client(tmp_path, monkeypatch):
+    """`--camera 0`: header, pictures and lines as long as it gives pictures; then all ends, exit 0."""
+    websockets = pytest.importorskip("websockets.sync.client")
+    addresses: queue.Queue[str] = queue.Queue()
+    unplugged = threading.Event()
+
+    class Capture:
+        def __init__(self, number: int) -> None:
+            assert number == 0
+
+        def isOpened(self) -> bool:
+            return True
+
+        def set(self, *_: float) -> None:
+            pass
+
+        def read(self) -> tuple[bool, np.ndarray | None]:
+            time.sleep(0.02)
+            return (False, None) if unplugged.is_set() else (True, np.full((96, 160, 3), (200, 100, 50), np.uint8))
+
+        def release(self) -> None:
+            pass
+
+    monkeypatch.setattr("twohands.inference.frames.cv2.VideoCapture", Capture)
+    monkeypatch.setattr(live, "_say_where", lambda address, wanted: addresses.put(address))
+    weights = str(write_tiny_weights(tmp_path / "tiny"))
+    ended: list[int] = []
+    arguments = live.LiveArgs(camera="0", port=0, weights=weights, mirrored=True)
+    server = threading.Thread(target=lambda: ended.append(live.run(arguments)))
+    server.start()
+    try:
+        address = addresses.get(timeout=60).replace("http:", "ws:")
+        with websockets.connect(f"{address}stream?pictures=1", open_timeout=60) as client:
+            header, picture = client.recv(timeout=60), ""
+            while isinstance(picture, str):  # those of frames before we came are not sent
+                picture = client.recv(timeout=60)
+            line = client.recv(timeout=60)
+            assert json.loads(header)["source"] == "camera:0" and json.loads(header)["mirrored"] is True
+            assert json.loads(header)["camera"]["width"] == 160 and "index" in json.loads(line)
+            shown = cv2.imdecode(np.frombuffer(picture[16:], np.uint8), cv2.IMREAD_COLOR)
+            np.testing.assert_allclose(shown.mean(axis=(0, 1)), (200, 100, 50), atol=4)
+            client.send(json.dumps({"begin": {"hand_length_m": 0.12, "fov_deg": 70}}))
+            while json.loads(header)["hand_length_m"] != 0.12:
+                header = next(text for text in iter(client.recv, None) if isinstance(text, str) and "version" in text)
+    finally:
+        unplugged.set()
+        server.join(60)
+    assert ended == [0]

@@ -1,17 +1,18 @@
 """`scripts/fit_range_errors.py`: what it finds where it is known, and what it cannot begin with."""
 
+import json
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scripts.fit_range_errors import Ranges, fitted, fitted_sigma, loss, ranges_in
+from scripts.fit_range_errors import Off, Ranges, fitted, fitted_sigma, loss, ranges_in, share_within, write_to_card
 from tests.oracles import Oracle, drawn_hands, make_card
 
 from twohands.errors import InputError
 from twohands.inference.decision import PlacementConfig
-from twohands.inference.placement import posterior
+from twohands.inference.placement import range_sigma
 
 ROOT = Path(__file__).parents[2]
 PRIOR = PlacementConfig()
@@ -24,8 +25,8 @@ def pictures(count, errors, rng):
     mean = rng.uniform(0.4, 1.0, (count, 2))
     error = errors[0] * (errors[1] / errors[0]) ** ((1 - mean) / (1 - PRIOR.lower_score))
     estimated = true * np.exp(error * rng.normal(size=true.shape))
-    misfit = np.full(2, PRIOR.sigma_misfit)
-    return [Ranges(e, np.tile(m[:, None], (1, 21)), t, misfit) for e, m, t in zip(estimated, mean, true, strict=True)]
+    usual = np.full(2, PRIOR.sigma_misfit), np.full(2, PRIOR.sigma_span)
+    return [Ranges(e, np.tile(m[:, None], (1, 21)), t, *usual) for e, m, t in zip(estimated, mean, true, strict=True)]
 
 
 def test_the_errors_with_which_estimates_were_made_are_found_again():
@@ -37,7 +38,9 @@ def test_the_errors_with_which_estimates_were_made_are_found_again():
 
 
 def test_a_hand_that_is_not_there_has_no_say():
-    one = Ranges(np.array([0.5, 0.9]), np.full((2, 21), 0.7), np.array([0.45, np.nan]), np.full(2, 0.02))
+    one = Ranges(
+        np.array([0.5, 0.9]), np.full((2, 21), 0.7), np.array([0.45, np.nan]), np.full(2, 0.02), np.full(2, 0.4)
+    )
     assert np.isfinite(loss([one], (0.05, 0.1)))
 
 
@@ -48,20 +51,32 @@ def test_what_is_found_in_a_picture_stands_beside_what_is_true(present):
     assert found.scores.shape == (sum(present), 21)
     np.testing.assert_allclose(found.estimated, found.true, rtol=2e-2)
     assert found.misfit.shape == (sum(present),) and (found.misfit < 0.05).all()
+    assert found.span.shape == (sum(present),) and (found.span > 0.1).all()
 
 
-def test_the_size_of_errors_is_found_again_and_how_it_goes_with_the_misfit():
-    """Errors of 0.6 times the posterior's, times the misfit to the power of 0.5."""
+def test_the_size_of_errors_is_found_again_and_how_it_goes_with_score_and_misfit():
+    """Two sets of different difficulty, with errors as one rule makes them."""
     rng = np.random.default_rng(5)
-    errors = (0.05, 0.15)
-    found = []
-    for _ in range(1500):
-        scores, misfit = np.full((1, 21), rng.uniform(0.7, 1)), np.exp(rng.normal(0, 0.7, 1)) * PRIOR.sigma_misfit
-        likely, spread = posterior(np.array([0.5]), scores, PlacementConfig(range_errors=errors))
-        sigma = 0.6 * spread * (misfit / PRIOR.sigma_misfit) ** 0.5
-        found.append(Ranges(np.array([0.5]), scores, likely * (1 + sigma * rng.normal(size=1)), misfit))
-    scale, power = fitted_sigma(found, errors)
-    assert scale == pytest.approx(0.6, rel=0.08) and power == pytest.approx(0.5, abs=0.1)
+    true = (0.04, 0.8, 0.3, 1.0)
+    sets = []
+    for low, high, count in ((0.6, 0.95, 3000), (0.95, 1.0, 1000)):
+        scores = np.tile(rng.uniform(low, high, count)[:, None], (1, 21))
+        misfit = np.exp(rng.normal(0, 0.7, count)) * PRIOR.sigma_misfit
+        span = rng.uniform(0.2, 0.45, count)
+        sigma = range_sigma(scores, misfit, span, PlacementConfig(range_sigma=true))
+        sets.append(Off(np.abs(sigma * rng.normal(size=count)), scores, misfit, span))
+    found = fitted_sigma(sets)
+    np.testing.assert_allclose(found, true, rtol=0.15, atol=0.11)
+    assert all(share_within(one, found) == pytest.approx(0.683, abs=0.04) for one in sets)
+
+
+def test_the_card_keeps_all_else(tmp_path):
+    card = tmp_path / "card.json"
+    card.write_text(json.dumps({"name": "x", "placement": {"ray_share": 0.4, "range_errors": [1, 2]}}))
+    write_to_card(card, {"range_errors": [0.1, 0.2], "range_sigma": [0.03, 0.8, 0.2, 1]})
+    kept = {"ray_share": 0.4, "range_errors": [0.1, 0.2], "range_sigma": [0.03, 0.8, 0.2, 1]}
+    assert json.loads(card.read_text()) == {"name": "x", "placement": kept}
+    assert list(tmp_path.iterdir()) == [card]
 
 
 def test_without_hands_there_is_nothing_to_fit():

@@ -1,4 +1,4 @@
-"""How far ranges may be off: the posterior's spread, the palm's misfit, what was assumed."""
+"""How far ranges may be off: how sure the joints are, the palm's misfit, what was assumed."""
 
 import math
 from dataclasses import replace
@@ -9,50 +9,50 @@ import pytest
 from twohands.geometry.camera import project
 from twohands.geometry.canonical import camera_from_canonical
 from twohands.inference.decision import PlacementConfig
-from twohands.inference.placement import LEAST_MISFIT, palm_misfit, posterior
-from twohands.inference.range_sigma import ASSUMED_FOCAL_SPREAD, ASSUMED_LENGTH_SPREAD, with_sources
+from twohands.inference.placement import DOUBT, LEAST_MISFIT, palm_misfit, palm_span, posterior_ranges, range_sigma
+from twohands.inference.range_sigma import (
+    ASSUMED_FOCAL_SPREAD,
+    ASSUMED_LENGTH_SPREAD,
+    TAPED_SPREAD,
+    TYPED_LENGTH_SPREAD,
+    with_sources,
+)
 from twohands.skeleton import PALM, ROOT, WRIST
 from twohands.synth.scene.body import load_asset
 from twohands.types import GlobalPose, HandPose, PinholeCamera, TwoHandPose
 
 CAMERA = PinholeCamera(500.0, 500.0, 320.0, 180.0, 640, 360)
-CONFIG = PlacementConfig(range_errors=(0.05, 0.15), lower_score=0.8, usual_spread=0.3, correlation=0.4)
+CONFIG = PlacementConfig(range_errors=(0.05, 0.15), range_sigma=(0.03, 1.5, 0.5, 1.0))
+SPAN = np.array([CONFIG.sigma_span])
 
 
 def scores(*means: float) -> np.ndarray:
     return np.repeat(np.array(means)[:, None], 21, axis=1)
 
 
-def test_the_spread_of_one_hand_is_that_of_two_normal_sources():
-    """1 / sqrt(1 / 0.3^2 + 1 / 0.15^2) at the lower score."""
-    _, spread = posterior(np.array([0.5]), scores(0.8), CONFIG)
-    assert spread == pytest.approx([1 / math.sqrt(1 / 0.3**2 + 1 / 0.15**2)])
+def test_a_sure_hand_that_agrees_has_the_first_number_and_powers_do_the_rest():
+    """Half as sure again of what is missing of the score, and four times the misfit: 2^1.5 and 4^0.5 times as much."""
+    typical = range_sigma(scores(CONFIG.sigma_score), np.array([CONFIG.sigma_misfit]), SPAN, CONFIG)
+    assert typical == pytest.approx([0.03])
+    less = DOUBT - 2 * (DOUBT - CONFIG.sigma_score)
+    misfit, span = np.array([1, 4, 1]) * CONFIG.sigma_misfit, np.array([1, 1, 0.5]) * CONFIG.sigma_span
+    found = range_sigma(scores(less, CONFIG.sigma_score, CONFIG.sigma_score), misfit, span, CONFIG)
+    assert found == pytest.approx([0.03 * 2**1.5, 0.03 * 2, 0.03 / 2])
 
 
-def test_the_other_hand_narrows_what_is_uncertain():
-    _, alone = posterior(np.array([0.5]), scores(0.8), CONFIG)
-    _, beside = posterior(np.array([0.5, 0.5]), scores(0.8, 1.0), CONFIG)
-    prior = 0.3**2 * np.array([[1, 0.4], [0.4, 1]])
-    expected = np.linalg.inv(np.linalg.inv(prior) + np.diag([1 / 0.15**2, 1 / 0.05**2]))
-    np.testing.assert_allclose(beside, np.sqrt(np.diag(expected)))
-    assert beside[0] < alone[0]
+def test_no_picture_tells_less_than_what_is_usual():
+    assert range_sigma(scores(0.1), np.array([0.5]), SPAN, CONFIG) == pytest.approx([CONFIG.usual_spread])
 
 
-def test_68_percent_lie_within_it_where_errors_are_as_supposed():
-    rng = np.random.default_rng(0)
-    true = CONFIG.usual_range_m * np.exp(rng.normal(0, 0.3, 4000))
-    estimated = true * np.exp(rng.normal(0, 0.15, 4000))
-    off = []
-    for value, truth in zip(estimated, true, strict=True):
-        likely, spread = posterior(np.array([value]), scores(0.8), CONFIG)
-        off.append(abs(math.log(likely[0] / truth)) / spread[0])
-    assert np.mean(np.array(off) < 1) == pytest.approx(0.683, abs=0.025)
+def test_a_perfect_score_is_not_taken_for_certainty():
+    assert range_sigma(scores(1.0), np.array([LEAST_MISFIT]), SPAN, CONFIG) > 0.001
 
 
 def test_nothing_is_said_where_nothing_is_known():
-    likely, spread = posterior(np.array([0.5, np.nan]), scores(0.9, 0.9), CONFIG)
-    assert np.isfinite(spread[0]) and np.isnan(spread[1]) and np.isnan(likely[1])
-    assert np.isnan(posterior(np.array([0.5]), scores(0.9), PlacementConfig())[1]).all()
+    assert np.isnan(range_sigma(scores(0.9), np.array([0.02]), SPAN, PlacementConfig())).all()
+    assert np.isnan(range_sigma(scores(0.9), np.array([np.nan]), SPAN, CONFIG)).all()
+    likely = posterior_ranges(np.array([0.5, np.nan]), scores(0.9, 0.9), CONFIG)
+    assert np.isfinite(likely[0]) and np.isnan(likely[1])
 
 
 def placed_hand() -> tuple[np.ndarray, np.ndarray, GlobalPose]:
@@ -78,6 +78,15 @@ def test_the_misfit_is_in_hand_lengths_at_the_hand_s_range():
     assert palm_misfit(canonical, fingers, CAMERA, np.array([0.1]), pose) == pytest.approx([LEAST_MISFIT])
 
 
+def test_the_span_of_a_palm_is_as_it_is_seen():
+    """Joints on a circle of 0.3 have that span from in front, and half of its square from the side."""
+    canonical = np.zeros((2, 21, 3))
+    angles = np.arange(len(PALM)) * 2 * math.pi / len(PALM)
+    canonical[0, list(PALM)] = 0.3 * np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=-1)
+    canonical[1, list(PALM)] = 0.3 * np.stack([0 * angles, np.sin(angles), np.cos(angles)], axis=-1)
+    np.testing.assert_allclose(palm_span(canonical), [0.3, 0.3 / math.sqrt(2)])
+
+
 def hand(range_m: float, sigma_m: float | None) -> HandPose:
     return HandPose(True, range_m=range_m, range_sigma_m=sigma_m, valid=True)
 
@@ -85,11 +94,12 @@ def hand(range_m: float, sigma_m: float | None) -> HandPose:
 @pytest.mark.parametrize(
     ("sources", "share"),
     [
-        (("typed", "file"), 0.0),
-        (("distance", "assumed"), 0.0),
+        (("typed", "file"), TYPED_LENGTH_SPREAD),
+        (("distance", "assumed"), TAPED_SPREAD),
+        (("distance", "file"), TAPED_SPREAD),
         (("board", "board"), 0.0),
         (("assumed", "file"), ASSUMED_LENGTH_SPREAD),
-        (("typed", "assumed"), ASSUMED_FOCAL_SPREAD),
+        (("typed", "assumed"), math.hypot(TYPED_LENGTH_SPREAD, ASSUMED_FOCAL_SPREAD)),
         (("assumed", "assumed"), math.hypot(ASSUMED_LENGTH_SPREAD, ASSUMED_FOCAL_SPREAD)),
     ],
 )
@@ -106,6 +116,17 @@ def test_the_spread_of_lengths_is_that_of_the_generator_s_adults():
     asset = load_asset()
     lengths = np.array([asset.body(each).hand_length_m for each in asset.coefficients[::8]])
     assert math.sqrt(np.mean(np.log(lengths / 0.10) ** 2)) == pytest.approx(ASSUMED_LENGTH_SPREAD, abs=0.03)
+
+
+def test_the_spread_of_typed_lengths_is_that_of_the_generator_s_adults():
+    """A user measures the whole hand; how long its palm is beside its middle finger differs."""
+    asset = load_asset()
+    shares = []
+    for each in asset.coefficients[::8]:
+        hand = np.asarray(asset.body(each).joints)[0, 1:]
+        chain = np.linalg.norm(hand[[ROOT, 10, 11, 12]] - hand[[WRIST, ROOT, 10, 11]], axis=-1)
+        shares.append(chain[0] / chain.sum())
+    assert np.log(shares).std() == pytest.approx(TYPED_LENGTH_SPREAD, abs=0.006)
 
 
 def test_the_spread_of_focal_lengths_is_that_of_even_fields_of_view():

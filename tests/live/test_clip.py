@@ -4,11 +4,18 @@ import json
 
 import numpy as np
 import pytest
-from tests.live.fakes import IMAGE, camera_for, estimate, make_clip
+from tests.live.fakes import IMAGE, camera_for, estimate, make_clip, seen_hand
 
 from twohands.errors import InputError
 from twohands.inference.clip_files import read_clip
+from twohands.inference.range_sigma import (
+    ASSUMED_FOCAL_SPREAD,
+    ASSUMED_LENGTH_SPREAD,
+    TAPED_SPREAD,
+    TYPED_LENGTH_SPREAD,
+)
 from twohands.live.clip import LiveClip
+from twohands.live.measuring import FRAMES, MOST_FRAMES
 from twohands.live.messages import Settings
 
 
@@ -16,9 +23,9 @@ def test_the_lines_are_a_hands_jsonl(tmp_path):
     clip = make_clip()
     clip.begin(Settings("webcam", 0.12, 90.0, True))
     told = [clip.frame(IMAGE, index, index / 10) for index in range(3)]
-    assert told[0][0] is told[2][0]
+    assert told[0].header is told[2].header
     path = tmp_path / "hands.jsonl"
-    path.write_text("\n".join([told[0][0], *(line for _, line in told)]) + "\n")
+    path.write_text("\n".join([told[0].header, *(each.line for each in told)]) + "\n")
     header, poses = read_clip(path)
     assert (header["source"], header["hand_length_m"], header["mirrored"]) == ("webcam", 0.12, True)
     assert header["smoothed"] is True and header["camera"]["fx"] == 32
@@ -41,7 +48,7 @@ def test_a_new_clip_may_have_another_size_and_an_earlier_time():
     with pytest.raises(InputError):
         clip.frame(IMAGE, 1, 4.0)
     clip.begin(Settings("b", 0.1))
-    header, line = clip.frame(IMAGE[:, :32], 0, 0.0)
+    header, line, _ = clip.frame(IMAGE[:, :32], 0, 0.0)
     assert json.loads(header)["camera"]["width"] == 32 and json.loads(line)["time_s"] == 0.0
 
 
@@ -66,3 +73,49 @@ def test_a_listener_gets_every_pose_and_every_beginning():
     clip.begin(Settings("b", 0.1))
     clip.frame(IMAGE, 0, 0.0)
     assert told.said == ["begin", (0, 0.0, True, None), (1, 0.1, True, None), "begin", (0, 0.0, True, None)]
+
+
+def test_hands_say_what_their_ranges_rest_on():
+    """The spread of an assumed length and camera is in the lines, as `track` has it."""
+    clip = make_clip(seen_hand(0.5, sigma_m=0.01))
+    for scale_source, fov_deg, shares in (
+        ("assumed", None, (ASSUMED_LENGTH_SPREAD, ASSUMED_FOCAL_SPREAD)),
+        ("typed", 70.0, (TYPED_LENGTH_SPREAD, 0)),
+        ("distance", None, (TAPED_SPREAD, 0)),
+    ):
+        clip.begin(Settings("webcam", 0.1, fov_deg, scale_source=scale_source))
+        hand = json.loads(clip.frame(IMAGE, 0, 0.0).line)["hands"]["left"]
+        assert hand["scale_source"] == scale_source
+        assert hand["intrinsics_source"] == ("fov" if fov_deg else "assumed")
+        expected = np.hypot(0.01, hand["range_m"] * np.hypot(*shares))
+        assert hand["range_sigma_m"] == pytest.approx(expected, abs=1e-4)
+
+
+def test_a_hand_at_a_taped_distance_gives_the_length_of_the_clip_that_follows():
+    """Estimates of a hand at 40 cm with 10 cm; the tape says 50. In one place the field of view stays as it is."""
+    clip = make_clip(seen_hand(0.4))
+    clip.begin(Settings("webcam", 0.1, None, scale_source="assumed"))
+    assert clip.frame(IMAGE, 0, 0.0).note is None
+    clip.measure(0.5)
+    told = [clip.frame(IMAGE, index, index / 10) for index in range(1, FRAMES + 2)]
+    notes = [json.loads(each.note)["measured"] for each in told[:FRAMES]]
+    assert [note["frames"] for note in notes] == list(range(1, FRAMES + 1)) and told[FRAMES].note is None
+    assert not any(note["over"] for note in notes[:-1]) and notes[-1]["over"] and notes[-1]["problem"] is None
+    assert notes[-1]["hand_length_m"] == pytest.approx(0.125, rel=1e-3)
+    assert notes[-1]["fov_deg"] is None and notes[-1]["sigma"] > 0
+    old, new = json.loads(told[0].header), json.loads(told[FRAMES].header)
+    assert old["hand_length_m"] == 0.1 and new["hand_length_m"] == notes[-1]["hand_length_m"]
+    assert new["camera"] == old["camera"]
+    assert json.loads(told[FRAMES].line)["hands"]["left"]["scale_source"] == "distance"
+
+
+def test_a_measuring_without_a_hand_is_given_up_and_one_that_is_not_wanted_ends():
+    clip = make_clip(seen_hand(None))
+    clip.measure(0.5)
+    notes = [clip.frame(IMAGE, index, index / 10).note for index in range(MOST_FRAMES + 1)]
+    last = json.loads(notes[MOST_FRAMES - 1])["measured"]
+    assert last["over"] and last["problem"] == "given up, no hand is seen" and last["hand_length_m"] is None
+    assert notes[MOST_FRAMES] is None
+    clip.measure(0.5)
+    clip.measure(None)
+    assert clip.frame(IMAGE, MOST_FRAMES + 1, 1000.0).note is None

@@ -13,6 +13,7 @@ from twohands.live.messages import (
     MAX_BYTES,
     Begin,
     End,
+    Measure,
     Settings,
     parse_picture,
     parse_text,
@@ -32,6 +33,12 @@ def test_begin_and_end():
     assert parse_text(json.dumps({"begin": GOOD})) == Begin(Settings("webcam", 0.11, 70.0, True))
     assert parse_text('{"begin": {"hand_length_m": 0.1}}') == Begin(Settings("stream", 0.1, None, False))
     assert parse_text('{"end": true}') == End()
+    assert parse_text(json.dumps({"begin": GOOD | {"scale_source": "assumed"}})).settings.scale_source == "assumed"
+
+
+def test_a_taped_distance_and_its_end():
+    assert parse_text('{"measure": {"distance_m": 0.5}}') == Measure(0.5)
+    assert parse_text('{"measure": {"distance_m": null}}') == parse_text('{"measure": {}}') == Measure(None)
 
 
 def test_a_picture_keeps_its_pixels_and_its_time():
@@ -55,9 +62,12 @@ def test_the_server_says_time_and_age_before_a_picture():
                 {"hand_length_m": 0}, {"hand_length_m": -1}, {"hand_length_m": 1}, {"hand_length_m": "0.1"},
                 {"hand_length_m": True}, {"hand_length_m": math.nan}, {"hand_length_m": None},
                 {"hand_length_m": 10**400}, {"fov_deg": 0}, {"fov_deg": 180}, {"fov_deg": math.inf},
-                {"fov_deg": []}, {"mirrored": 1}, {"source": 3}, {"path": "/etc/passwd"},
+                {"fov_deg": []}, {"mirrored": 1}, {"source": 3}, {"path": "/etc/passwd"}, {"scale_source": "guess"},
+                {"scale_source": []},
             )
         ),
+        *(json.dumps({"measure": value}) for value in (1, [], {"distance_m": 0.05}, {"distance_m": 50},
+          {"distance_m": "0.5"}, {"distance_m": True}, {"distance_m": math.nan}, {"at": 0.5})),
     ],
 )  # fmt: skip
 def test_other_texts_are_refused(text):
@@ -86,10 +96,10 @@ def test_other_pictures_are_refused(data):
 def test_five_hundred_damaged_messages():
     """Each is taken or refused in one line; nothing else comes out."""
     rng = np.random.default_rng(40)
-    texts = [json.dumps({"begin": GOOD}), '{"end": true}']
+    texts = [json.dumps({"begin": GOOD}), '{"end": true}', '{"measure": {"distance_m": 0.5}}']
     pictures = [picture(ending=ending) for ending in (".jpg", ".png", ".webp")]
     for attempt in range(500):
-        whole = texts[attempt % 2].encode() if attempt % 5 < 2 else pictures[attempt % 3]
+        whole = texts[attempt % 3].encode() if attempt % 5 < 2 else pictures[attempt % 3]
         data = bytearray(whole[: rng.integers(1, len(whole) + 1)] if rng.random() < 0.3 else whole)
         for _ in range(rng.integers(1, 6)):
             data[rng.integers(len(data))] = rng.integers(256)

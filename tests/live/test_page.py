@@ -226,6 +226,83 @@ def test_joints_on_the_page_are_those_of_track(page, tmp_path):
     np.testing.assert_allclose(shown, joints(poses[shown_index]), atol=1e-3, equal_nan=True)
 
 
+ONE_HAND = """
+const real = navigator.mediaDevices.getUserMedia.bind(navigator.mediaDevices);
+navigator.mediaDevices.getUserMedia = async (wanted) => {
+  const video = Object.assign(document.createElement("video"), { muted: true, srcObject: await real(wanted) });
+  await video.play();
+  const canvas = Object.assign(document.createElement("canvas"), { width: 640, height: 360 });
+  const context = canvas.getContext("2d", { willReadFrequently: true });
+  setInterval(() => context.drawImage(video, 0, 0, 320, 360, 0, 0, 320, 360), 100);
+  return canvas.captureStream(10);
+};
+"""
+"""The webcam's left half, which shows the left hand alone, beside black."""
+
+
+def test_a_taped_distance_and_the_fields_change_what_is_estimated(page):
+    lines: list[dict] = []
+
+    def listen(socket):
+        socket.on("framereceived", lambda data: isinstance(data, str) and lines.append(json.loads(data)))
+
+    def header() -> dict:
+        return next(line for line in reversed(lines) if "version" in line)
+
+    def begun(test) -> dict:
+        """The header of the clip that a change has begun, once a frame of it is there."""
+        deadline = time.monotonic() + PATIENCE_MS / 1000
+        while not (lines and "index" in lines[-1] and test(header())):
+            assert time.monotonic() < deadline, header()
+            page.wait_for_timeout(100)
+        return header()
+
+    page.add_init_script(ONE_HAND)
+    page.on("websocket", listen)
+    with live() as address:
+        page.goto(address)
+        shots(page, "empty")
+        page.click("#webcam")
+        until(page, "/cm/.test(document.querySelector('#tile-left').textContent)")
+        until(page, "document.querySelector('#tile-left .about').textContent !== 'not seen'")
+        assert "assumed hand length" in page.inner_text("#assumed")
+        page.click("#calibrate")
+        page.fill("#distance", "50")
+        page.click("#measure")
+        shots(page, "tape")
+        until(page, "/^Hand length/.test(document.querySelector('#tape-text').textContent)")
+        said = page.inner_text("#tape-text")
+        shots(page, "taped")
+        told = next(line["measured"] for line in reversed(lines) if "measured" in line)
+        assert f"{100 * told['hand_length_m']:.1f} ±" in said and f"{141.42 * told['sigma']:.0f} %" in said
+        assert page.input_value("#length") == f"{100 * told['hand_length_m']:.2f}"
+        assert float(page.input_value("#fov")) == told["fov_deg"]
+        begun(lambda clip: clip["hand_length_m"] == told["hand_length_m"])
+        hand = lines[-1]["hands"]["left"]
+        assert hand["scale_source"] == "distance" and hand["range_m"] == pytest.approx(0.5, rel=0.12)
+        assert page.is_hidden("#assumed")
+        page.click("#undo")
+        assert begun(lambda clip: clip["hand_length_m"] == 0.1)["camera"]["fx"] == pytest.approx(250, abs=1)
+        assert lines[-1]["hands"]["left"]["scale_source"] == "assumed"
+        page.click("#calibrate")
+        page.fill("#length", "12")
+        page.press("#length", "Enter")
+        begun(lambda clip: clip["hand_length_m"] == 0.12)
+        assert lines[-1]["hands"]["left"]["scale_source"] == "typed"
+        page.fill("#fov", "70")
+        page.press("#fov", "Enter")
+        assert begun(lambda clip: clip["camera"]["fx"] > 300)["camera"]["fx"] == pytest.approx(457, abs=1)
+        page.check("#mirrored")
+        begun(lambda clip: clip["mirrored"])
+        page.fill("#fov", "999")
+        page.press("#fov", "Enter")
+        page.wait_for_timeout(300)
+        assert header()["camera"]["fx"] == pytest.approx(457, abs=1), "what cannot be is not sent"
+    until(page, "!document.querySelector('#message').hidden")
+    shots(page, "ended")
+    assert re.match("Twohands live has ended|No answer from twohands live", page.inner_text("#message"))
+
+
 def test_a_dropped_video_is_tracked(page, tmp_path):
     clip = tmp_path / "moving.webm"
     with av.open(str(clip), "w") as container:

@@ -4,23 +4,26 @@ import contextlib
 import json
 import re
 import struct
+import sys
 import threading
 import time
 import urllib.error
 import urllib.request
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
 pytest.importorskip("websockets")
-from tests.live.fakes import IMAGE, estimate, make_clip, picture, serving
+from tests.live.fakes import IMAGE, estimate, make_clip, picture, seen_hand, serving
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from twohands.errors import InputError
 from twohands.inference.frames import Frame
+from twohands.live.measuring import FRAMES
 from twohands.live.messages import MAX_BYTES
 from twohands.live.server import MAX_CLIENTS, listen
 
@@ -62,6 +65,61 @@ def test_the_documented_client_in_python(capsys):
     assert not reader.is_alive() and "left index fingertip: 0.008 0.008 0.508 m" in said
 
 
+def test_the_documented_client_for_ros(monkeypatch):
+    """It publishes every joint, in metres; rclpy and its messages are stand-ins that take what the real ones take."""
+    published: list[tuple[str, list[list[float]], str]] = []
+
+    class Point:
+        def __init__(self, **axes: float) -> None:
+            assert set(axes) == {"x", "y", "z"} and all(type(value) is float for value in axes.values())
+            self.axes = [axes[name] for name in "xyz"]
+
+    class Pose:
+        def __init__(self, *, position: Point) -> None:
+            self.position = position
+
+    class PoseArray:
+        def __init__(self, *, poses: list[Pose]) -> None:
+            assert all(isinstance(pose, Pose) for pose in poses)
+            self.poses, self.header = poses, SimpleNamespace(frame_id="", stamp=None)
+
+    def publisher(kind, topic: str, depth: int):
+        assert kind is PoseArray and depth == 1
+
+        def publish(message: PoseArray) -> None:
+            assert message.header.stamp == "now"
+            published.append((topic, [pose.position.axes for pose in message.poses], message.header.frame_id))
+
+        return SimpleNamespace(publish=publish)
+
+    clock = SimpleNamespace(now=lambda: SimpleNamespace(to_msg=lambda: "now"))
+    node = SimpleNamespace(create_publisher=publisher, get_clock=lambda: clock)
+    ros = SimpleNamespace(init=lambda: None, create_node=lambda name: node)
+    monkeypatch.setitem(sys.modules, "rclpy", ros)
+    messages = SimpleNamespace(Point=Point, Pose=Pose, PoseArray=PoseArray)
+    monkeypatch.setitem(sys.modules, "geometry_msgs", SimpleNamespace(msg=messages))
+    monkeypatch.setitem(sys.modules, "geometry_msgs.msg", messages)
+    code = re.search(r"### ROS 2, rclpy\n.*?```python\n(.*?)```", DOCS.read_text(encoding="utf-8"), re.DOTALL)
+    assert code is not None
+    with serving() as port:
+        program = compile(code[1].replace("127.0.0.1:8765", f"127.0.0.1:{port}"), "docs/stream.md", "exec")
+        reader = threading.Thread(target=exec, args=(program, {}))
+        reader.start()
+        with join(port) as sender:
+            sender.send(BEGIN)
+            for index in range(200):  # until it listens
+                sender.send(picture(index / 10))
+                told = receive(sender)
+                time.sleep(0.05)
+                if published:
+                    break
+            while "hands" not in json.loads(told):
+                told = receive(sender)
+    reader.join(WAIT_S)
+    assert not reader.is_alive()
+    assert published[0] == ("hands/left", json.loads(told)["hands"]["left"]["joints_m"], "camera_optical_frame")
+
+
 def test_everybody_gets_header_and_lines():
     with serving() as port, join(port) as sender, join(port) as other:
         sender.send(BEGIN)
@@ -89,6 +147,28 @@ def test_pictures_come_before_their_lines_to_those_who_want_them():
         time_s, age_s = struct.unpack_from("<dd", message)
         assert (time_s, message[16:]) == (0.5, picture(0.5)[8:]) and 0 <= age_s < WAIT_S
         assert [receive(sender), receive(sender)] == [header, line]  # its own picture does not come back
+
+
+def test_measuring_is_told_to_who_asked_and_everybody_gets_the_new_clip():
+    with serving(make_clip(seen_hand(0.4))) as port, join(port) as sender, join(port) as other:
+        sender.send(BEGIN)
+        sender.send(json.dumps({"measure": {"distance_m": 0.5}}))
+        notes, headers = [], []
+        for index in range(FRAMES + 1):
+            sender.send(picture(index / 10))
+            while "index" not in (line := json.loads(receive(other))):
+                headers.append(line)
+            while "index" not in (mine := json.loads(receive(sender))):
+                notes += [mine["measured"]] if "measured" in mine else []
+        assert line == mine and notes[-1]["hand_length_m"] is not None
+        assert [header["hand_length_m"] for header in headers] == [0.1, notes[-1]["hand_length_m"]]
+
+
+def test_a_measuring_before_a_clip_is_refused():
+    with serving() as port, join(port) as client, pytest.raises(ConnectionClosed) as closed:
+        client.send('{"measure": {"distance_m": 0.5}}')
+        receive(client)
+    assert closed.value.rcvd is not None and "a clip must begin first" in closed.value.rcvd.reason
 
 
 def test_late_pictures_are_dropped_not_queued():

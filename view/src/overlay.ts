@@ -8,8 +8,12 @@ export type Picture = CanvasImageSource;
 export class Overlay {
   private readonly context: CanvasRenderingContext2D;
 
-  constructor(private readonly canvas: HTMLCanvasElement) {
-    this.context = canvas.getContext("2d")!;
+  /** @param inMemory draw there, rather than by the graphics card. */
+  constructor(
+    private readonly canvas: HTMLCanvasElement,
+    inMemory: boolean,
+  ) {
+    this.context = canvas.getContext("2d", { alpha: false, willReadFrequently: inMemory })!;
   }
 
   /** Draws a frame; without a picture, on black. A mirrored picture is turned back, as the estimator did. */

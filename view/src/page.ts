@@ -31,19 +31,20 @@ export class Page {
       <p id="message" role="alert" hidden></p>
       <section id="tools">${tools}</section>
       <main>
-        <section id="picture" aria-label="picture with both hands"><canvas></canvas><div id="welcome">${welcome}</div></section>
+        <section id="picture" aria-label="picture with both hands"><canvas hidden></canvas><div id="welcome">${welcome}</div></section>
         <section id="space" aria-label="both hands in space"><nav>
-          <button data-from="side">beside</button><button data-from="camera">camera</button>
-          <button data-from="above">above</button></nav></section>
-        <section id="numbers">${tilesHtml()}<span id="apart"></span></section>
-        <section id="ranges" aria-label="range over time"><h2>Range over time</h2><canvas></canvas></section>
+          <button data-from="side">Side</button><button data-from="camera">Camera</button>
+          <button data-from="above">Above</button></nav></section>
+        <section id="numbers">${tilesHtml()}<p id="apart"></p><p id="assumed" hidden></p></section>
+        <section id="ranges" aria-label="range over time"><h2>Range over time <span>cm, with one sigma</span></h2><canvas></canvas></section>
       </main>
       <details><summary>Joints, in the camera's frame: x right, y down, z forward</summary>
         <div class="wide">${jointsHtml()}</div></details>`;
-    this.overlay = new Overlay(document.querySelector("#picture canvas")!);
-    this.plot = new RangePlot(document.querySelector("#ranges canvas")!, window);
     this.readout = new Readout(document);
-    this.space = openSpace(element("space"));
+    const slow = !hasGraphicsCard();
+    this.overlay = new Overlay(document.querySelector("#picture canvas")!, slow);
+    this.plot = new RangePlot(document.querySelector("#ranges canvas")!, window, slow);
+    this.space = openSpace(element("space"), slow);
     for (const button of document.querySelectorAll<HTMLButtonElement>("#space [data-from]")) {
       button.onclick = () => this.space?.lookFrom(button.dataset.from as "side" | "camera" | "above");
     }
@@ -55,13 +56,15 @@ export class Page {
     this.header = header;
     this.plot.clear();
     this.space?.setCamera(header.camera);
-    element("source").textContent = header.source;
+    element("source").textContent = header.source.split(/[\\/]/).pop() || header.source;
+    element("source").title = header.source;
     element("picture").style.setProperty("--shape", `${header.camera.width} / ${header.camera.height}`);
   }
 
   show(picture: Picture | null, frame: Frame): void {
     if (this.header === null) return;
     element("welcome").hidden = true;
+    document.querySelector<HTMLCanvasElement>("#picture canvas")!.hidden = false;
     this.last = [picture, frame];
     this.repaint();
     this.space?.draw(frame);
@@ -85,9 +88,19 @@ export class Page {
   }
 }
 
-function openSpace(box: HTMLElement): Space | null {
+/** Where there is none, drawing through WebGL's emulation costs many times what drawing in memory does. */
+function hasGraphicsCard(): boolean {
+  const context = document.createElement("canvas").getContext("webgl");
+  if (context === null) return false;
+  const names = context.getExtension("WEBGL_debug_renderer_info");
+  const name = names === null ? "" : `${context.getParameter(names.UNMASKED_RENDERER_WEBGL)}`;
+  context.getExtension("WEBGL_lose_context")?.loseContext();
+  return !/swiftshader|llvmpipe|software|basic render/i.test(name);
+}
+
+function openSpace(box: HTMLElement, slow: boolean): Space | null {
   try {
-    return new Space(box);
+    return new Space(box, slow);
   } catch (error) {
     box.append(Object.assign(document.createElement("p"), { textContent: "This browser has no WebGL: no view in space." }));
     console.error(error);

@@ -19,12 +19,16 @@ export class RangePlot {
   private waiting = false;
   private cursor: number | null = null;
 
-  /** @param window seconds that are shown; null for all. */
+  /**
+   * @param window seconds that are shown; null for all.
+   * @param inMemory draw there, rather than by the graphics card.
+   */
   constructor(
     private readonly canvas: HTMLCanvasElement,
     private readonly window: number | null,
+    inMemory: boolean,
   ) {
-    this.context = canvas.getContext("2d")!;
+    this.context = canvas.getContext("2d", { willReadFrequently: inMemory })!;
     new ResizeObserver(() => this.ask()).observe(canvas);
   }
 
@@ -74,7 +78,7 @@ export class RangePlot {
   }
 
   private edges(): [number, number] {
-    return [44, this.canvas.clientWidth - 10];
+    return [34, this.canvas.clientWidth - 4];
   }
 
   private ranges(): [number, number] {
@@ -147,8 +151,9 @@ export class RangePlot {
       if (time < 0) continue;
       context.fillText(`${+time.toFixed(1)} s`, Math.min(Math.max(x(time), left + 8), right - 12), bottom + 7);
     }
-    context.textAlign = "left";
-    context.fillText("cm", 6, bottom + 7);
+    if (!SIDES.some((side) => this.series[side].some((sample) => sample.range !== null))) {
+      context.fillText("No hand yet", (left + right) / 2, bottom / 2);
+    }
   }
 
   /** Pieces of a hand's curve between its absences. */

@@ -9,7 +9,7 @@ export function tilesHtml(): string {
   return SIDES.map(
     (side) => `<div class="tile ${side}" id="tile-${side}">
       <span class="name">${WORDS[side]}</span>
-      <span class="range">–</span><span class="sigma"></span>
+      <span class="value"><span class="range">–</span> <span class="sigma"></span></span>
       <span class="about">not seen</span>
     </div>`,
   ).join("");
@@ -20,8 +20,8 @@ export function jointsHtml(): string {
     (name, joint) => `<tr><th scope="row">${joint} ${name}</th>${"<td></td>".repeat(6)}</tr>`,
   );
   return `<table id="joints"><thead>
-    <tr><th scope="col" rowspan="2">joint</th><th scope="colgroup" colspan="3" class="left">left, mm</th>
-    <th scope="colgroup" colspan="3" class="right">right, mm</th></tr>
+    <tr><th scope="col" rowspan="2">Joint</th><th scope="colgroup" colspan="3" class="left">Left, mm</th>
+    <th scope="colgroup" colspan="3" class="right">Right, mm</th></tr>
     <tr>${"<th scope='col'>x</th><th scope='col'>y</th><th scope='col'>z</th>".repeat(2)}</tr>
     </thead><tbody>${rows.join("")}</tbody></table>`;
 }
@@ -31,6 +31,7 @@ export class Readout {
   private readonly table: HTMLTableElement;
   private readonly details: HTMLDetailsElement;
   private readonly apart: HTMLElement;
+  private readonly assumed: HTMLElement;
   private last: Frame | null = null;
 
   constructor(page: Document) {
@@ -38,6 +39,7 @@ export class Readout {
     this.cells = [...this.table.querySelectorAll("td")];
     this.details = this.table.closest("details")!;
     this.apart = page.querySelector("#apart")!;
+    this.assumed = page.querySelector("#assumed")!;
     this.details.addEventListener("toggle", () => this.last !== null && this.show(this.last));
   }
 
@@ -46,6 +48,9 @@ export class Readout {
     for (const side of SIDES) showTile(document.querySelector(`#tile-${side}`)!, frame.hands[side]);
     const [left, right] = SIDES.map((side) => frame.hands[side].joints_m?.[ROOT]);
     this.apart.textContent = left && right ? `${centimetres(distance(left, right))} cm apart` : "";
+    const words = assumed(frame);
+    this.assumed.hidden = words === "";
+    this.assumed.textContent = words;
     if (this.details.open) this.showJoints(frame);
   }
 
@@ -76,7 +81,17 @@ function about(hand: Hand): string {
   if (!hand.present) return "not seen";
   if (hand.method === "predicted") return "carried on";
   if (hand.range_m === null) return "seen, not placed";
-  return hand.score === null ? "seen" : `sure ${Math.round(100 * hand.score)} %`;
+  return hand.score === null ? "seen" : `seen, ${Math.round(100 * hand.score)} % sure`;
+}
+
+/** What the standard deviations of a frame allow for. */
+function assumed(frame: Frame): string {
+  const placed = SIDES.map((side) => frame.hands[side]).filter((hand) => hand.range_m !== null && sigma(hand) !== null);
+  const length = placed.some((hand) => hand.scale_source === "assumed");
+  // A taped distance makes up for the camera.
+  const camera = placed.some((hand) => hand.intrinsics_source === "assumed" && hand.scale_source !== "distance");
+  if (!length && !camera) return "";
+  return `± allows for an assumed ${length && camera ? "hand length and camera" : length ? "hand length" : "camera"}`;
 }
 
 function centimetres(metres: number): string {

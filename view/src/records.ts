@@ -11,6 +11,8 @@ export interface Hand {
   joints_m: number[][] | null;
   range_m: number | null;
   range_sigma_m?: number | null;
+  scale_source?: string | null;
+  intrinsics_source?: string | null;
   method: string | null;
 }
 
@@ -39,12 +41,13 @@ export interface Header {
   mirrored?: boolean;
 }
 
-export type Line = { header: Header } | { frame: Frame };
+export type Line = { header: Header } | { frame: Frame } | { measured: unknown };
 
-/** A line of hands.jsonl; null for an empty one. */
+/** A line of hands.jsonl, or of what the server says of measuring; null for an empty one. */
 export function parseLine(text: string): Line | null {
   if (text.trim() === "") return null;
   const record = JSON.parse(text);
+  if ("measured" in record) return record;
   return "version" in record ? { header: record as Header } : { frame: record as Frame };
 }
 

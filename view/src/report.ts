@@ -15,7 +15,7 @@ export async function openReport(lines: string, film: string | null): Promise<vo
   for (const text of lines.split("\n")) {
     const line = parseLine(text);
     if (line !== null && "header" in line) header = line.header;
-    else if (line !== null) frames.push(line.frame);
+    else if (line !== null && "frame" in line) frames.push(line.frame);
   }
   const first = frames[0];
   if (header === null || first === undefined) {

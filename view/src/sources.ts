@@ -5,7 +5,7 @@ const LONG_SIDE = 960;
 const QUALITY = 0.92;
 
 export interface Grabbed {
-  picture: HTMLCanvasElement;
+  picture: OffscreenCanvas;
   jpeg: ArrayBuffer;
   timeS: number;
   takenMs: number;
@@ -51,12 +51,11 @@ export class Source {
     if (mediaTime === null || videoWidth === 0) return null;
     const takenMs = performance.now();
     const scale = Math.min(1, LONG_SIDE / Math.max(videoWidth, videoHeight));
-    const picture = document.createElement("canvas");
-    picture.width = Math.round(videoWidth * scale);
-    picture.height = Math.round(videoHeight * scale);
-    picture.getContext("2d")!.drawImage(this.video, 0, 0, picture.width, picture.height);
-    const blob = await new Promise<Blob | null>((done) => picture.toBlob(done, "image/jpeg", QUALITY));
-    if (blob === null) return null;
+    // In memory, where the encoder reads it; and not toBlob, which waits for an idle page.
+    const picture = new OffscreenCanvas(Math.round(videoWidth * scale), Math.round(videoHeight * scale));
+    const context = picture.getContext("2d", { alpha: false, willReadFrequently: true })!;
+    context.drawImage(this.video, 0, 0, picture.width, picture.height);
+    const blob = await picture.convertToBlob({ type: "image/jpeg", quality: QUALITY });
     const seconds = this.isFile ? mediaTime : (takenMs - startedMs) / 1000;
     return { picture, jpeg: await blob.arrayBuffer(), timeS: Math.round(1e6 * seconds) / 1e6, takenMs };
   }

@@ -30,6 +30,10 @@ import { BONES, HAND_COLOURS, ROOT, css, jointColour } from "./skeleton";
 
 /** How far the scene reaches; the first that holds all hands. */
 const REACHES_M = [0.6, 1, 2, 4, 8];
+/** Of the floor below the camera. */
+const LEAST_DROP_M = 0.25;
+/** What is drawn before there is a clip. */
+const USUAL: Camera = { fx: 830, fy: 830, cx: 480, cy: 270, width: 960, height: 540 };
 const UP = new Vector3(0, 1, 0);
 
 interface HandMeshes {
@@ -65,10 +69,16 @@ export class Space {
   private following = true;
   private waiting = false;
 
-  /** Throws where the browser has no WebGL. */
-  constructor(private readonly box: HTMLElement) {
-    this.renderer = new WebGLRenderer({ antialias: true, alpha: true, powerPreference: "low-power" });
-    this.renderer.setPixelRatio(Math.min(2, devicePixelRatio));
+  /**
+   * Throws where the browser has no WebGL.
+   * @param slow whether it is emulated: edges are rough then, and pixels as few as can be.
+   */
+  constructor(
+    private readonly box: HTMLElement,
+    slow: boolean,
+  ) {
+    this.renderer = new WebGLRenderer({ antialias: !slow, alpha: true, powerPreference: "low-power" });
+    this.renderer.setPixelRatio(slow ? 1 : Math.min(2, devicePixelRatio));
     box.prepend(this.renderer.domElement);
     this.scene.add(new HemisphereLight(0xffffff, 0x555a66, 2.2));
     const sun = new DirectionalLight(0xffffff, 1.6);
@@ -80,6 +90,8 @@ export class Space {
     this.controls.addEventListener("start", () => (this.following = false));
     this.hands = { left: this.makeHand("left"), right: this.makeHand("right") };
     new ResizeObserver(() => this.resize()).observe(box);
+    this.setCamera(USUAL);
+    this.furnish(REACHES_M[0]!, LEAST_DROP_M);
     this.lookFrom("side");
   }
 
@@ -97,7 +109,7 @@ export class Space {
     const as_camera = where === "camera" && this.camera !== null;
     this.eye.fov = as_camera ? this.fieldOfView(this.camera!) : 40;
     this.eye.updateProjectionMatrix();
-    const all = this.shown.length > 0 ? this.shown : [new Vector3(0, 0, -0.5)];
+    const all = this.shown.length > 0 ? this.shown : this.corners(this.reach);
     const { center, radius } = new Box3().setFromPoints([...all, new Vector3()]).getBoundingSphere(new Sphere());
     if (as_camera) {
       this.controls.target.set(0, 0, center.z * 2);
@@ -117,7 +129,7 @@ export class Space {
     for (const side of SIDES) this.drawHand(frame, side);
     const joints = SIDES.flatMap((side) => frame.hands[side].joints_m ?? []);
     const farthest = Math.max(0, ...joints.map((joint) => joint[2] ?? 0));
-    const lowest = Math.max(0.25, ...joints.map((joint) => (joint[1] ?? 0) + 0.06));
+    const lowest = Math.max(LEAST_DROP_M, ...joints.map((joint) => (joint[1] ?? 0) + 0.06));
     const reach = REACHES_M.find((each) => each >= farthest) ?? REACHES_M[REACHES_M.length - 1]!;
     this.shown = joints.map(toScene);
     if (reach > this.reach || lowest > this.floorAt) this.furnish(Math.max(reach, this.reach), lowest);
@@ -148,23 +160,31 @@ export class Space {
 
   private drawFrustum(reach: number): void {
     if (this.camera === null) return;
-    const { fx, fy, cx, cy, width, height } = this.camera;
-    const corner = (u: number, v: number, depth: number) =>
-      toScene([(depth * (u - cx)) / fx, (depth * (v - cy)) / fy, depth]);
-    const at = [[0, 0], [width, 0], [width, height], [0, height]] as const;
+    const { cx, width, height } = this.camera;
     const near = 0.08;
+    const [far, close] = [this.corners(reach), this.corners(near)];
     const points: Vector3[] = [];
     for (let i = 0; i < 4; i++) {
-      const [u, v] = at[i]!;
-      const [nextU, nextV] = at[(i + 1) % 4]!;
-      points.push(new Vector3(), corner(u, v, reach));
-      points.push(corner(u, v, reach), corner(nextU, nextV, reach));
-      points.push(corner(u, v, near), corner(nextU, nextV, near));
+      const next = (i + 1) % 4;
+      points.push(new Vector3(), far[i]!, far[i]!, far[next]!, close[i]!, close[next]!);
     }
     // Which way is up: a small roof over the near rectangle.
-    const roof = corner(cx, -0.35 * height, near);
-    points.push(corner(0.3 * width, -0.06 * height, near), roof, roof, corner(0.7 * width, -0.06 * height, near));
+    const roof = this.at(cx, -0.35 * height, near);
+    const [from, to] = [this.at(0.3 * width, -0.06 * height, near), this.at(0.7 * width, -0.06 * height, near)];
+    points.push(from, roof, roof, to);
     this.frustum.geometry.setFromPoints(points);
+  }
+
+  /** What is seen at a pixel, so many metres before the camera. */
+  private at(u: number, v: number, depth: number): Vector3 {
+    const { fx, fy, cx, cy } = this.camera ?? USUAL;
+    return toScene([(depth * (u - cx)) / fx, (depth * (v - cy)) / fy, depth]);
+  }
+
+  /** The corners of the picture, so many metres before the camera. */
+  private corners(depth: number): Vector3[] {
+    const { width, height } = this.camera ?? USUAL;
+    return [this.at(0, 0, depth), this.at(width, 0, depth), this.at(width, height, depth), this.at(0, height, depth)];
   }
 
   private drawHand(frame: Frame, side: Side): void {

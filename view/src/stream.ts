@@ -7,6 +7,21 @@ export interface Settings {
   hand_length_m: number;
   fov_deg: number | null;
   mirrored: boolean;
+  scale_source: string;
+}
+
+/** What the server says while it measures a hand at a taped distance. */
+export interface Measured {
+  frames: number;
+  of: number;
+  /** Whether it has come to an end, with a result or without. */
+  over: boolean;
+  problem: string | null;
+  /** With the two below: what came of it; null before. */
+  hand_length_m: number | null;
+  fov_deg: number | null;
+  /** Standard deviation of the hand length, as a share. */
+  sigma: number | null;
 }
 
 export interface Listener {
@@ -14,6 +29,7 @@ export interface Listener {
   /** A header and its line, as it came. */
   header(header: Header, text: string): void;
   frame(frame: Frame, text: string): void;
+  measured(measured: Measured): void;
   /** A picture of the next frame, and how old it was when it was sent, seconds. */
   picture(picture: ImageBitmap, timeS: number, ageS: number): void;
   /** @param lost whether the server is gone, rather than has refused something. */
@@ -55,6 +71,11 @@ export class Stream {
     this.socket.send(JSON.stringify({ begin: settings }));
   }
 
+  /** One hand is held at a distance from the lens, metres; null: no more. */
+  measure(distanceM: number | null): void {
+    if (this.open) this.socket.send(JSON.stringify({ measure: { distance_m: distanceM } }));
+  }
+
   /** The clip is over; another page may begin one. */
   end(): void {
     if (this.open) this.socket.send(JSON.stringify({ end: true }));
@@ -75,7 +96,8 @@ export class Stream {
     if (typeof data === "string") {
       const line = parseLine(data);
       if (line === null) return;
-      if ("header" in line) listener.header(line.header, data);
+      if ("measured" in line) listener.measured(line.measured as Measured);
+      else if ("header" in line) listener.header(line.header, data);
       else listener.frame(line.frame, data);
     } else {
       const head = new DataView(data);

@@ -1,13 +1,8 @@
-"""One length of the hand, |wrist - middle knuckle| of our skeleton, from a picture that shows it to scale.
-
-Two ways. A hand that lies flat beside the printed board: the board's plane gives the scale. A hand at a taped distance:
-ranges go with focal length times hand length, so that one known range fixes their product, even where both are wrong.
-"""
+"""One length of the hand, |wrist - middle knuckle| of our skeleton, from a picture in which it lies flat beside the
+printed board: the board's plane gives the scale. The other way, by a tape, is `tape`."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from typing import Final
 
 import cv2
@@ -78,26 +73,3 @@ def length_on_board(
             raise InputError("the hand is not seen on the paper; lay it flat beside the board")
         length = float(np.linalg.norm(wrist - root))
     return length
-
-
-def length_at_distance(ranges_m: Sequence[float], distance_m: float, assumed_length_m: float) -> float:
-    """The hand length with which ranges are right.
-
-    Args:
-        ranges_m: of the middle knuckle as estimated with `assumed_length_m`, all at the same true distance; as
-            projected, not drawn towards what is usual.
-        distance_m: that distance, from the lens.
-        assumed_length_m: hand length of these estimates.
-
-    Returns:
-        Metres: with the same camera, right or wrong, this length gives that range.
-
-    Raises:
-        InputError: no range, or a distance that is no positive number.
-    """
-    if not (math.isfinite(distance_m) and distance_m > 0):
-        raise InputError(f"the distance must be a positive number of metres, got {distance_m:g}")
-    known = np.array([value for value in ranges_m if math.isfinite(value)])
-    if not len(known):
-        raise InputError("no hand was found; show one hand at the taped distance")
-    return assumed_length_m * distance_m / float(np.median(known))

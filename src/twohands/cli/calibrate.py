@@ -18,7 +18,7 @@ import os
 import re
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -29,7 +29,8 @@ import tyro
 from twohands.calibration.board import BoardView, board_pdf, find_board
 from twohands.calibration.camera import MOST_VIEWS, CameraFit, fit_camera, is_new, usable
 from twohands.calibration.coverage import coverage_picture
-from twohands.calibration.hand import length_at_distance, length_on_board
+from twohands.calibration.hand import length_on_board
+from twohands.calibration.tape import fit_tape, focal_spread, ranges, zoomed
 from twohands.cli.known import camera_assumption, known_by
 from twohands.cli.output import write_file
 from twohands.errors import InputError, TwoHandsError
@@ -41,7 +42,7 @@ from twohands.inference.frames import is_video, open_frames
 from twohands.inference.known import Known
 from twohands.inference.weights import DEFAULT_PRESET
 from twohands.plausibility import camera_doubts, hand_length_doubts, warn
-from twohands.types import PinholeCamera
+from twohands.types import HandPose, PinholeCamera
 
 EVERY_S: Final = 0.2
 """Of a clip, so often a frame is looked at."""
@@ -148,22 +149,24 @@ def _hand(args: CalibrateArgs, source: str) -> int:
     distance_m = None if args.at is None else _distance_m(args.at)
     known = known_by(args.camera, args.fov, None, _existing(args.profile))
     estimator = HandEstimator.from_preset(args.weights)
-    plain = replace(estimator.card.placement, range_errors=None)  # ranges as projected
-    estimator = HandEstimator(estimator.networks, replace(estimator.card, placement=plain))
     if distance_m is None:
-        lengths, used = _lengths_on_board(source, estimator, known, args.rule / RULE_CM)
+        lengths, (camera, camera_source) = _lengths_on_board(source, estimator, known, args.rule / RULE_CM)
         length, scale_source = float(np.median(lengths)), "board"
     else:
-        ranges, used = _ranges(source, estimator, known)
-        length, scale_source = length_at_distance(ranges, distance_m, DEFAULT_HAND_LENGTH_M), "distance"
-        lengths = [DEFAULT_HAND_LENGTH_M * distance_m / value for value in ranges]
-    camera, camera_source = used
+        hands, (camera, camera_source) = _hands(source, estimator, known)
+        said = [distance_m] * len(hands)
+        fit = fit_tape(hands, camera, said, DEFAULT_HAND_LENGTH_M, focal_spread=focal_spread(camera_source))
+        camera, length, scale_source = zoomed(camera, fit.focal_scale), fit.hand_length_m, "distance"
+        lengths = [length * distance_m / value for value in ranges(hands, camera, length)]
     if line := camera_assumption(camera_source):
         _say(line)
     spread = f", {100 * min(lengths):.1f} to {100 * max(lengths):.1f} over {len(lengths)} pictures"
     print(f"hand length {100 * length:.1f} cm{spread if len(lengths) > 1 else ''}: --hand-length {100 * length:.1f}")
     if scale_source == "distance":
-        print("it holds together with this camera alone, whose focal length it makes up for")
+        print(
+            f"it holds together with this camera alone, of {camera.hfov_deg:.1f} degrees: --fov {camera.hfov_deg:.1f}; "
+            f"ranges are right to about {100 * math.hypot(fit.sigma, fit.sigma):.0f} %"
+        )
     warn(hand_length_doubts(length))
     if args.profile is not None:
         _keep(args.profile, camera, camera_source, length, scale_source)
@@ -199,26 +202,28 @@ def _lengths_on_board(
     return lengths, used
 
 
-def _ranges(
+def _hands(
     source: str, estimator: HandEstimator, known: Known
-) -> tuple[list[float], tuple[PinholeCamera, IntrinsicsSource]]:
-    """Ranges of the one hand that is in the pictures, with `DEFAULT_HAND_LENGTH_M`."""
-    ranges: list[float] = []
+) -> tuple[list[HandPose], tuple[PinholeCamera, IntrinsicsSource]]:
+    """The one hand that is in the pictures, in each of them, as estimated with `DEFAULT_HAND_LENGTH_M`."""
+    hands: list[HandPose] = []
     used, several = None, 0
     for image, path in _images(source):
         camera = known.camera_of(image.shape[1], image.shape[0], path)
+        if used is not None and camera[0] != used[0]:
+            raise InputError(f"{source}: pictures of one camera and size are needed at a taped distance")
         pose = estimator.estimate(image, camera[0])
-        found = [hand.range_m for hand in pose.hands if hand.valid and hand.range_m is not None]
+        found = [hand for hand in pose.hands if hand.valid]
         several += len(found) > 1
         if len(found) == 1:
-            ranges.append(found[0])
+            hands.append(found[0])
             used = used or camera
-        if len(ranges) >= MOST_HAND_FRAMES:
+        if len(hands) >= MOST_HAND_FRAMES:
             break
     if used is None:
         reason = f"two hands in {several} pictures; show" if several else "no hand was found; show"
         raise InputError(f"{source}: {reason} one hand at the taped distance")
-    return ranges, used
+    return hands, used
 
 
 def _images(source: str) -> Iterator[tuple[np.ndarray, Path | None]]:

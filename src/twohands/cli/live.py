@@ -21,6 +21,7 @@ from twohands.cli.known import known_by
 from twohands.cli.process import EndedBySignal
 from twohands.cli.track import option
 from twohands.errors import InputError
+from twohands.formats.profiles import IntrinsicsSource
 from twohands.inference.frames import CAMERA_PREFIX, Frame, open_frames
 from twohands.inference.weights import DEFAULT_PRESET
 from twohands.live.clip import LiveClip
@@ -81,7 +82,7 @@ def run(args: LiveArgs) -> int:
     known = known_by(args.camera_file, args.fov, args.hand_length, args.profile)
     number = _camera_number(args.camera)
     name = None if number is None else f"{CAMERA_PREFIX}{number}"
-    settings = Settings(name or "stream", known.hand_length_m, args.fov, args.mirrored)
+    settings = Settings(name or "stream", known.hand_length_m, args.fov, args.mirrored, known.scale_source)
     avatar = None if args.osc is None else VmcSender(*_host_and_port(args.osc))
     with ExitStack() as stack:
         listening = stack.enter_context(listen(args.host, args.port))
@@ -91,8 +92,8 @@ def run(args: LiveArgs) -> int:
         found = opened(stack, args.estimator, args.weights, args.peer_python, args.mediapipe_model)
         port = listening.getsockname()[1]
 
-        def camera_for(fov_deg: float | None, width: int, height: int) -> PinholeCamera:
-            return replace(known, fov_deg=fov_deg).camera_of(width, height)[0]
+        def camera_for(fov_deg: float | None, width: int, height: int) -> tuple[PinholeCamera, IntrinsicsSource]:
+            return replace(known, fov_deg=fov_deg).camera_of(width, height)
 
         clip = LiveClip(found.estimate, camera_for, found.weights, found.more, settings, avatar, found.decision)
         page = live_page(
@@ -102,6 +103,8 @@ def run(args: LiveArgs) -> int:
                 "fov_deg": args.fov,
                 "mirrored": args.mirrored,
                 "camera_file": known.camera is not None,
+                "scale_source": known.scale_source,
+                "ours": args.estimator == "ours",
             }
         )
         server = LiveServer(clip, Door(port, args.token, args.allow_origin), page, view_policy(live=True), frames)

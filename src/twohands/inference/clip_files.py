@@ -27,14 +27,14 @@ import numpy as np
 from twohands.errors import DataFormatError
 from twohands.files import appearing, partial_path
 from twohands.inference.records import from_dict, to_dict
-from twohands.inference.tables import csv_text, to_arrays
+from twohands.inference.tables import WORDS, csv_text, to_arrays
 from twohands.types import HandPose, PinholeCamera, TwoHandPose
 
 VERSION: Final = 2
 JSONL, NPZ, CSV = "hands.jsonl", "hands.npz", "hands.csv"
-_PER_FRAME: Final = ("index", "time_s", "present", "valid", "method")
-_METHOD: Final = "<U12"
-"""Longest word of `HandPose.method`, and some room."""
+_PER_FRAME: Final = ("index", "time_s", "present", "valid", "between_hands_m", "overlap", *WORDS)
+_WORD: Final = "<U12"
+"""Longest of `WORDS`, and some room."""
 
 
 def frame_line(pose: TwoHandPose) -> str:
@@ -107,7 +107,7 @@ class ClipFiles:
         arrays = to_arrays([pose], self._camera, **self._about)
         for name, array in arrays.items():
             if name in _PER_FRAME or array.shape[:2] == (1, 2):
-                row = array.astype(_METHOD) if name == "method" else array
+                row = array.astype(_WORD) if name in WORDS else array
                 if name not in self._columns:
                     spool = tempfile.TemporaryFile(dir=self._folder)  # noqa: SIM115
                     self._columns[name] = spool, row.dtype, row.shape[1:]

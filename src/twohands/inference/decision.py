@@ -164,19 +164,25 @@ class PlacementConfig:
     """Standard deviation of the logarithm of the range, over hands of scene style wild."""
     correlation: float = 0.41
     """Of the logarithms of both ranges, over pairs of hands of scene style wild."""
-    sigma_scale: float = 1.07
-    """What the standard deviation of the likely range (`posterior`) is multiplied by where the palm's joints are seen
-    `sigma_misfit` hand lengths from where the pose has them, so that 68 % of the errors lie within it; fitted by
-    scripts/fit_range_errors.py on 99 pictures of scene style wild (split val, seed 41) with preset fast."""
-    sigma_power: float = 0.4
-    """Of that misfit, over `sigma_misfit`."""
+    range_sigma: tuple[float, float, float, float] | None = None
+    """How far the likely range may be off, standard deviation as a share, of a hand whose joints have the mean score
+    `sigma_score` and whose palm is seen `sigma_misfit` hand lengths from where the pose has it and as wide as
+    `sigma_span`; and the powers with which it goes with what is missing of the score, with the misfit and with the
+    span. As scripts/fit_range_errors.py finds them; None: nothing is said."""
+    sigma_score: float = 0.98
+    """Mean score for which the first of `range_sigma` is."""
     sigma_misfit: float = 0.02
-    """Typical misfit, in hand lengths."""
+    """Misfit, in hand lengths, for which it is."""
+    sigma_span: float = 0.36
+    """Span of the palm, in hand lengths, for which it is."""
 
     def __post_init__(self) -> None:
         errors = self.range_errors
         if errors is not None and not (len(errors) == 2 and all(0 < error < math.inf for error in errors)):
             raise CheckpointError(f"card: placement.range_errors must be two numbers larger than 0, got {list(errors)}")
+        sigma = self.range_sigma
+        if sigma is not None and not (len(sigma) == 4 and sigma[0] > 0 and all(map(math.isfinite, sigma))):
+            raise CheckpointError(f"card: placement.range_sigma must be four numbers, the first above 0, got {sigma}")
 
 
 def overridden(config: Config, values: Mapping[str, Any], section: str) -> Config:

@@ -30,6 +30,8 @@ METHOD: Final[Method] = "fitted"
 KEY_BONE_NAMES: Final = ("wrist", "little")
 LEAST_MISFIT: Final = 0.005
 """Of a palm's joints, in hand lengths: no estimate is better."""
+DOUBT: Final = 1.01
+"""What the mean score of the most certain joints lacks something of."""
 
 
 def lift(network: Callable[[np.ndarray], np.ndarray], keypoints: Keypoints) -> np.ndarray:
@@ -96,14 +98,13 @@ def refine(
     """
     share = config.ray_share * keypoints.joint_scores
     canonical = pull_to_rays(canonical, keypoints.joints_px, camera, lengths_m, placed, share)
-    radius_m, spread = posterior(placed.radius_m, keypoints.joint_scores, config)
+    radius_m = posterior_ranges(placed.radius_m, keypoints.joint_scores, config)
     misfit = palm_misfit(canonical, keypoints.joints_px, camera, lengths_m, placed)
-    spread = spread * config.sigma_scale * (misfit / config.sigma_misfit) ** config.sigma_power
-    spread = np.minimum(spread, config.usual_spread)  # no picture tells less than what is usual
+    sigma = range_sigma(keypoints.joint_scores, misfit, palm_span(canonical), config)
     joints_m = camera_from_canonical(canonical, lengths_m, radius_m, placed.theta, placed.phi)
     finite = np.isfinite(joints_m).all(axis=(1, 2))
     found = replace(placed, joints_m=joints_m, radius_m=radius_m, valid=placed.valid & finite)
-    return canonical, found, spread * radius_m
+    return canonical, found, sigma * radius_m
 
 
 def palm_misfit(
@@ -126,13 +127,36 @@ def palm_misfit(
     return np.maximum(rms, LEAST_MISFIT)
 
 
+def palm_span(canonical: np.ndarray) -> np.ndarray:
+    """How wide palms (B, 21, 3) are seen: root mean square distance of their joints from their mean, across the line of
+    sight, in hand lengths; (B,)."""
+    across = canonical[:, list(PALM), :2]
+    return np.sqrt(((across - across.mean(axis=1, keepdims=True)) ** 2).sum(axis=-1).mean(axis=-1))
+
+
+def range_sigma(joint_scores: np.ndarray, misfit: np.ndarray, span: np.ndarray, config: PlacementConfig) -> np.ndarray:
+    """How far likely ranges may be off, by how certain the 2D joints are, how well they agree with the pose, and how
+    the palm is seen.
+
+    Args:
+        joint_scores: (B, 21) 0..1.
+        misfit: (B,) of `palm_misfit`.
+        span: (B,) of `palm_span`.
+        config: how it goes with them; at most what is usual, since no picture tells less.
+
+    Returns:
+        (B,) standard deviations as shares of the range; NaN where they are not known.
+    """
+    if config.range_sigma is None:
+        return np.full(len(misfit), np.nan)
+    share, score_power, misfit_power, span_power = config.range_sigma
+    lack = (DOUBT - joint_scores.mean(axis=-1)) / (DOUBT - config.sigma_score)
+    sigma = share * lack**score_power * (misfit / config.sigma_misfit) ** misfit_power
+    return np.minimum(sigma * (span / config.sigma_span) ** span_power, config.usual_spread)
+
+
 def posterior_ranges(radius_m: np.ndarray, joint_scores: np.ndarray, config: PlacementConfig) -> np.ndarray:
-    """(B,) metres: the first of `posterior`."""
-    return posterior(radius_m, joint_scores, config)[0]
-
-
-def posterior(radius_m: np.ndarray, joint_scores: np.ndarray, config: PlacementConfig) -> tuple[np.ndarray, np.ndarray]:
-    """The most likely ranges of the hands of one picture, and how far they may be off.
+    """The most likely ranges of the hands of one picture.
 
     The logarithms of the ranges are taken for normal, of known mean and covariance, and so are the errors of their
     estimates, independent of each other: the result is the mean of what remains possible.
@@ -144,25 +168,20 @@ def posterior(radius_m: np.ndarray, joint_scores: np.ndarray, config: PlacementC
         config: what is usual, and the errors of estimates: those at other scores than the two given follow as powers.
 
     Returns:
-        (B,) metres; NaN where it was; the estimates themselves where the config has no `range_errors`. And (B,)
-        standard deviations of their logarithms; NaN where they are not known.
+        (B,) metres; NaN where it was; the estimates themselves where the config has no `range_errors`.
     """
-    spread = np.full(len(radius_m), np.nan)
     if config.range_errors is None:
-        return radius_m, spread
+        return radius_m
     known = np.isfinite(radius_m)
     highest, lower = config.range_errors
     part = (1 - joint_scores[known].mean(axis=-1)) / (1 - config.lower_score)
     error = highest ** (1 - part) * lower**part
     covariance = config.usual_spread**2 * np.where(np.eye(len(error)), 1.0, config.correlation)
     usual = math.log(config.usual_range_m)
-    with_errors = covariance + np.diag(error**2)
-    off = np.linalg.solve(with_errors, np.log(radius_m[known]) - usual)
+    off = np.linalg.solve(covariance + np.diag(error**2), np.log(radius_m[known]) - usual)
     likely = np.array(radius_m, np.float64)
     likely[known] = np.exp(usual + covariance @ off)
-    remaining = covariance - covariance @ np.linalg.solve(with_errors, covariance)
-    spread[known] = np.sqrt(np.diag(remaining))
-    return likely, spread
+    return likely
 
 
 def hand_poses(

@@ -1,7 +1,7 @@
 """How far a range may be off: the estimate's own standard deviation, and that of what was assumed.
 
-The estimate's own comes from `placement.refine`. A range goes with focal length and hand length one to one; where one
-of them is not known, its spread over cameras or people comes on top.
+The estimate's own comes from `placement.range_sigma`. A range goes with focal length and hand length one to one; where
+one of them is not known, its spread over cameras or people comes on top.
 """
 
 from __future__ import annotations
@@ -14,6 +14,11 @@ from twohands.types import HandPose, TwoHandPose
 
 ASSUMED_LENGTH_SPREAD: Final = 0.20
 """Root mean square of the logarithm of the hand length over the assumed 10 cm, over the generator's 1,200 adults."""
+TYPED_LENGTH_SPREAD: Final = 0.054
+"""Of the logarithm of the length from wrist to middle knuckle over that of the whole hand, over the same adults: what
+is open where a user has measured the latter."""
+TAPED_SPREAD: Final = 0.03
+"""Of ranges after a hand at a taped distance, whose own range was off as well: `calibration.tape`."""
 ASSUMED_FOCAL_SPREAD: Final = 0.48
 """The same of the focal length over that of 60 degrees, over fields of view drawn evenly from 50 to 110 degrees, which
 are those of scene style wild."""
@@ -29,8 +34,9 @@ def with_sources(pose: TwoHandPose, scale_source: str, intrinsics_source: str) -
     Returns:
         A new record; absent hands as they are.
     """
+    lengths = {"assumed": ASSUMED_LENGTH_SPREAD, "typed": TYPED_LENGTH_SPREAD, "distance": TAPED_SPREAD}
     assumed = math.hypot(
-        ASSUMED_LENGTH_SPREAD if scale_source == "assumed" else 0.0,
+        lengths.get(scale_source, 0.0),
         # a taped distance makes up for whatever focal length was assumed
         ASSUMED_FOCAL_SPREAD if intrinsics_source == "assumed" and scale_source != "distance" else 0.0,
     )

@@ -7,7 +7,9 @@ hands.npz, F frames, axis of hands (LEFT, RIGHT), absent = NaN where the mask sa
     present (F, 2)  valid (F, 2)                          bool masks: found; placed in metres
     score  range_m  range_sigma_m  theta_deg  phi_deg (F, 2)   confidence 0..1, metres, degrees
     joints_m (F, 2, 21, 3)  canonical (F, 2, 21, 3)       camera frame, metres; unitless, centred frame
-    joints_px (F, 2, 21, 2)  joint_scores (F, 2, 21)  box_px (F, 2, 4)  method (F, 2)
+    joints_px (F, 2, 21, 2)  joint_scores (F, 2, 21)  box_px (F, 2, 4)
+    method (F, 2)  scale_source (F, 2)  intrinsics_source (F, 2)   words, "" where nothing is known
+    between_hands_m (F, 3)  overlap (F,)                  from the left root to the right one; share of boxes
 
 hands.csv has a row for each joint of a present hand: CSV_COLUMNS; a cell is empty where nothing is known.
 """
@@ -28,9 +30,12 @@ from twohands.types import HandPose, PinholeCamera, TwoHandPose
 VERSION: Final = 1
 CSV_COLUMNS: Final = (
     "frame", "time_s", "file", "hand", "score", "range_m", "range_sigma_m", "valid", "joint", "name", "u_px", "v_px",
-    "joint_score", "x_m", "y_m", "z_m",
+    "joint_score", "x_m", "y_m", "z_m", "scale_source", "intrinsics_source", "between_hands_x_m", "between_hands_y_m",
+    "between_hands_z_m", "overlap",
 )  # fmt: skip
 
+WORDS: Final = ("method", "scale_source", "intrinsics_source")
+"""Arrays of one word for each hand."""
 _PER_HAND: Final[Mapping[str, tuple[int, ...]]] = {
     "score": (),
     "range_m": (),
@@ -76,8 +81,12 @@ def to_arrays(
         "files": np.array([""] * len(poses) if files is None else list(files), np.str_),
         "present": _masks(hands, "present"),
         "valid": _masks(hands, "valid"),
-        "method": np.array([[hand.method or "" for hand in pair] for pair in hands], np.str_).reshape(len(poses), 2),
+        "between_hands_m": _or_nan([pose.between_hands_m for pose in poses], (3,)),
+        "overlap": _or_nan([pose.overlap for pose in poses], ()),
     }
+    for name in WORDS:
+        words = [[getattr(hand, name) or "" for hand in pair] for pair in hands]
+        arrays[name] = np.array(words, np.str_).reshape(len(poses), 2)
     for name, shape in _PER_HAND.items():
         arrays[name] = np.full((len(poses), 2, *shape), np.nan)
         for row, pair in enumerate(hands):
@@ -108,11 +117,11 @@ def csv_text(poses: Iterable[TwoHandPose], files: Sequence[str] | None = None, *
     rows = csv.writer(text, lineterminator="\n")
     if header:
         rows.writerow(CSV_COLUMNS)
-    for row, pose in enumerate(poses):
+    for number, pose in enumerate(poses):
         for side, hand in zip(SIDES, pose.hands, strict=True):
             if hand.present:
-                about = (pose.index, _cell(pose.time_s), "" if files is None else files[row], side)
-                rows.writerows(_joint_rows(about, hand))
+                about = (pose.index, _cell(pose.time_s), "" if files is None else files[number], side)
+                rows.writerows((*row, *_apart(pose)) for row in _joint_rows(about, hand))
     return text.getvalue()
 
 
@@ -123,7 +132,14 @@ def _joint_rows(about: tuple[Any, ...], hand: HandPose) -> Iterable[tuple[Any, .
         point = (None, None, None) if hand.joints_m is None else hand.joints_m[joint]
         score = None if hand.joint_scores is None else hand.joint_scores[joint]
         numbers = [_cell(value) for value in (*pixel, score, *point)]
-        yield (*about, _cell(hand.score), _cell(hand.range_m), _cell(hand.range_sigma_m), valid, joint, name, *numbers)
+        sizes = [_cell(value) for value in (hand.score, hand.range_m, hand.range_sigma_m)]
+        yield (*about, *sizes, valid, joint, name, *numbers, hand.scale_source or "", hand.intrinsics_source or "")
+
+
+def _apart(pose: TwoHandPose) -> list[str]:
+    """How both hands of a frame lie to each other."""
+    between = (None, None, None) if pose.between_hands_m is None else pose.between_hands_m
+    return [_cell(value) for value in (*between, pose.overlap)]
 
 
 def _cell(value: Any) -> str:
@@ -133,3 +149,9 @@ def _cell(value: Any) -> str:
 
 def _masks(hands: Sequence[tuple[HandPose, HandPose]], name: str) -> np.ndarray:
     return np.array([[bool(getattr(hand, name)) for hand in pair] for pair in hands], bool).reshape(len(hands), 2)
+
+
+def _or_nan(values: Sequence[Any], shape: tuple[int, ...]) -> np.ndarray:
+    """(F, *shape), NaN where there is no value."""
+    rows = [np.full(shape, np.nan) if value is None else value for value in values]
+    return np.array(rows, np.float64).reshape(len(values), *shape)

@@ -15,7 +15,7 @@ The card holds what inference must know; every other key (recipe, seed, accuracy
       "name": "fast",
       "hand_seg_net": {"input_size": [224, 384], "network_input": "(x - 128) / 256"},
       "pose_net_2d": {"crop_size": 128, "crop_kind": "perspective", "crop_margin": 1.5, "heatmap_decode": "softargmax"},
-      "placement": {"range_errors": [0.046, 0.143]},
+      "placement": {"range_errors": [0.046, 0.143], "range_sigma": [0.038, 0.91, 0.05, 1.51]},
       "decision": {"first": {"hand": -1.2, "pose": 0.4, ...}, "last": {"first": 0.6, ...}, "fit": {...}},
       "int8": {"hand_seg_net": {"node_relu": 21.5, ...}, ...}
     }

@@ -4,22 +4,40 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from twohands.errors import InputError
+from twohands.formats.profiles import IntrinsicsSource
 from twohands.inference.clip_files import frame_line, header_line
 from twohands.inference.decision import DecisionConfig
+from twohands.inference.range_sigma import with_sources
 from twohands.inference.trail import Trail
 from twohands.inference.video import VideoEstimator
+from twohands.live.measuring import Measured, Measuring
 from twohands.live.messages import Settings
 from twohands.types import PinholeCamera, TwoHandPose
 
 Estimate = Callable[..., TwoHandPose]
 """`HandEstimator.estimate` or its like: (image, camera, hand length, index=, time_s=, previous=) -> pose."""
-CameraFor = Callable[[float | None, int, int], PinholeCamera]
-"""(field of view in degrees or None, width, height) -> camera, or InputError where that cannot be."""
+CameraFor = Callable[[float | None, int, int], tuple[PinholeCamera, IntrinsicsSource]]
+"""(field of view in degrees or None, width, height) -> camera and how it is known, or InputError where that cannot
+be."""
+
+
+class Told(NamedTuple):
+    """What one picture gives.
+
+    Attributes:
+        header: the clip's, the same string object for all of its frames.
+        line: the frame's.
+        note: for who has asked to measure; None where nobody has.
+    """
+
+    header: str
+    line: str
+    note: str | None
 
 
 class Listener(Protocol):
@@ -68,13 +86,19 @@ class LiveClip:
     def begin(self, settings: Settings) -> None:
         """A new clip; what was before is forgotten."""
         self._settings = settings
-        self._camera: PinholeCamera | None = None
+        self._camera: tuple[PinholeCamera, IntrinsicsSource] | None = None
+        self._measuring: Measuring | None = None
         self._header = ""
         self._video.reset()
         if self._listener is not None:
             self._listener.begin()
 
-    def frame(self, image: np.ndarray, index: int, time_s: float) -> tuple[str, str]:
+    def measure(self, distance_m: float | None) -> None:
+        """One hand is held at that distance from the lens, metres: some frames from now on the hand length is what they
+        say, and a new clip begins. None: no more."""
+        self._measuring = None if distance_m is None else Measuring(distance_m, self._settings)
+
+    def frame(self, image: np.ndarray, index: int, time_s: float) -> Told:
         """One picture.
 
         Args:
@@ -82,28 +106,27 @@ class LiveClip:
             index: position in the clip.
             time_s: in the clip's clock, later than the last one's.
 
-        Returns:
-            The clip's header, the same string object for all of its frames, and the frame's line.
-
         Raises:
             InputError: the picture does not fit the camera or those before it.
         """
         settings = self._settings
         image = np.ascontiguousarray(image[:, ::-1]) if settings.mirrored else image
         height, width = image.shape[:2]
-        camera = self._camera or self._camera_for(settings.fov_deg, width, height)
+        camera, source = self._camera or self._camera_for(settings.fov_deg, width, height)
         if (camera.width, camera.height) != (width, height):
             raise InputError(
                 f"the size changes from {camera.width}x{camera.height} to {width}x{height}; begin a new clip"
             )
+        estimated: list[TwoHandPose] = []
 
         def run(previous: Trail | None) -> TwoHandPose:
             length = settings.hand_length_m
-            return self._estimate(image, camera, length, index=index, time_s=time_s, previous=previous)
+            estimated.append(self._estimate(image, camera, length, index=index, time_s=time_s, previous=previous))
+            return with_sources(estimated[-1], settings.scale_source, source)
 
         pose = self._video.update(run)
         if self._camera is None:
-            self._camera = camera
+            self._camera = camera, source
             self._header = header_line(
                 camera,
                 source=settings.source,
@@ -113,4 +136,16 @@ class LiveClip:
             )
         if self._listener is not None:
             self._listener.send(pose)
-        return self._header, frame_line(replace(pose, masks=None))
+        told = self._header, frame_line(replace(pose, masks=None))
+        return Told(*told, self._measured(estimated[-1], source))
+
+    def _measured(self, pose: TwoHandPose, source: IntrinsicsSource) -> str | None:
+        """What the measuring says of a frame; begins a new clip when it has come to an end."""
+        if self._measuring is None:
+            return None
+        found: Measured = self._measuring.take(pose, source)
+        if found.settings is not None:
+            self.begin(found.settings)
+        elif found.over:
+            self._measuring = None
+        return found.note

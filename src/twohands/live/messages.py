@@ -1,4 +1,7 @@
-"""What clients send: pictures, and the beginning and end of a clip (docs/stream.md). Anything else is refused."""
+"""What clients send: pictures, the beginning and end of a clip, a hand at a taped distance (docs/stream.md).
+
+Anything else is refused.
+"""
 
 from __future__ import annotations
 
@@ -6,18 +9,21 @@ import json
 import math
 import struct
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, get_args
 
 import numpy as np
 
 from twohands.errors import InputError, MissingExtraError
 from twohands.formats.picture_kinds import kind_of
 from twohands.formats.pictures import decode_image
+from twohands.formats.profiles import ScaleSource
 
 MAX_BYTES: Final = 2_000_000
 """Of a message."""
 MAX_PICTURE_PIXELS: Final = 16_000_000
 """Of a picture: few bytes may decode to many."""
+TAPE_RANGE_M: Final = (0.1, 5.0)
+"""Distances that can be taped."""
 _MAX_SOURCE: Final = 200
 _TIME: Final = struct.Struct("<d")
 _TIME_AND_AGE: Final = struct.Struct("<dd")
@@ -32,12 +38,14 @@ class Settings:
         hand_length_m: |wrist - middle knuckle|, metres.
         fov_deg: horizontal field of view; None where it is not known.
         mirrored: pictures are turned back before anything else.
+        scale_source: how the hand length is known.
     """
 
     source: str
     hand_length_m: float
     fov_deg: float | None = None
     mirrored: bool = False
+    scale_source: ScaleSource = "typed"
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,8 +60,15 @@ class End:
     """The client's clip is over."""
 
 
-def parse_text(text: str) -> Begin | End:
-    """A text message: `{"begin": {...}}` or `{"end": true}`.
+@dataclass(frozen=True, slots=True)
+class Measure:
+    """One hand is held at a distance from the lens, metres; None: no more."""
+
+    distance_m: float | None
+
+
+def parse_text(text: str) -> Begin | End | Measure:
+    """A text message: `{"begin": {...}}`, `{"end": true}` or `{"measure": {"distance_m": ...}}`.
 
     Raises:
         InputError: it is something else, or a value cannot be.
@@ -64,23 +79,40 @@ def parse_text(text: str) -> Begin | End:
         raise InputError("text messages are JSON") from None
     if record == {"end": True}:
         return End()
-    if not isinstance(record, dict) or set(record) != {"begin"} or not isinstance(record["begin"], dict):
-        raise InputError('{"begin": {...}} or {"end": true} expected')
-    given = record["begin"]
-    if unknown := sorted(set(given) - {"source", "hand_length_m", "fov_deg", "mirrored"}):
-        raise InputError(f"begin: unknown key {unknown[0][:40]!r}")
+    word = next(iter(record), None) if isinstance(record, dict) and len(record) == 1 else None
+    if word not in ("begin", "measure") or not isinstance(record[word], dict):
+        raise InputError('{"begin": {...}}, {"measure": {...}} or {"end": true} expected')
+    return _begin(record["begin"]) if word == "begin" else _measure(record["measure"])
+
+
+def _begin(given: dict[str, Any]) -> Begin:
+    _refuse_others("begin", given, {"source", "hand_length_m", "fov_deg", "mirrored", "scale_source"})
     source, mirrored = given.get("source", "stream"), given.get("mirrored", False)
+    scale_source = given.get("scale_source", "typed")
     if not isinstance(source, str):
         raise InputError("begin: source must be text")
     if not isinstance(mirrored, bool):
         raise InputError("begin: mirrored must be true or false")
-    length_m = _number(given, "hand_length_m")
+    if scale_source not in get_args(ScaleSource):
+        raise InputError(f"begin: scale_source must be one of {', '.join(get_args(ScaleSource))}")
+    length_m = _number("begin", given, "hand_length_m")
     if length_m is None or not 0 < length_m < 1:
         raise InputError(f"begin: hand_length_m must be metres between 0 and 1, got {length_m}")
-    fov_deg = _number(given, "fov_deg")
+    fov_deg = _number("begin", given, "fov_deg")
     if fov_deg is not None and not 1 <= fov_deg <= 179:
         raise InputError(f"begin: fov_deg must lie between 1 and 179 degrees, got {fov_deg:g}")
-    return Begin(Settings("".join(filter(str.isprintable, source))[:_MAX_SOURCE], length_m, fov_deg, mirrored))
+    name = "".join(filter(str.isprintable, source))[:_MAX_SOURCE]
+    return Begin(Settings(name, length_m, fov_deg, mirrored, scale_source))
+
+
+def _measure(given: dict[str, Any]) -> Measure:
+    _refuse_others("measure", given, {"distance_m"})
+    distance_m = _number("measure", given, "distance_m")
+    if distance_m is not None and not TAPE_RANGE_M[0] <= distance_m <= TAPE_RANGE_M[1]:
+        raise InputError(
+            f"measure: distance_m must lie between {TAPE_RANGE_M[0]:g} and {TAPE_RANGE_M[1]:g} m, got {distance_m:g}"
+        )
+    return Measure(distance_m)
 
 
 def parse_picture(data: bytes) -> tuple[float, np.ndarray]:
@@ -123,16 +155,21 @@ def picture_of(message: bytes) -> bytes:
     return message[_TIME.size :]
 
 
-def _number(record: dict[str, Any], name: str) -> float | None:
+def _refuse_others(word: str, given: dict[str, Any], known: set[str]) -> None:
+    if unknown := sorted(set(given) - known):
+        raise InputError(f"{word}: unknown key {unknown[0][:40]!r}")
+
+
+def _number(word: str, record: dict[str, Any], name: str) -> float | None:
     value = record.get(name)
     if value is None:
         return None
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(f"begin: {name} must be a number")
+        raise InputError(f"{word}: {name} must be a number")
     try:
         number = float(value)
     except OverflowError:
         number = math.inf
     if not math.isfinite(number):
-        raise InputError(f"begin: {name} must be a finite number")
+        raise InputError(f"{word}: {name} must be a finite number")
     return number

@@ -7,6 +7,7 @@ import contextlib
 import socket
 import time
 from collections.abc import Awaitable, Callable, Iterable
+from dataclasses import replace
 from typing import Any, Final
 
 import uvicorn
@@ -20,7 +21,7 @@ from twohands.errors import InputError
 from twohands.inference.frames import Frame
 from twohands.live.clip import LiveClip
 from twohands.live.door import Door
-from twohands.live.messages import MAX_BYTES, Begin, Settings, parse_text, picture_message
+from twohands.live.messages import MAX_BYTES, Begin, Measure, Settings, parse_text, picture_message
 from twohands.live.worker import News, Picture, Worker
 
 MAX_CLIENTS: Final = 8
@@ -51,12 +52,15 @@ class _Client:
         self.pictures = pictures
         self.count = 0
         self._newest: News | None = None
+        self._note: str | None = None
         self._end: tuple[int, str] | None = None
         self._woken = asyncio.Event()
 
     def offer(self, news: News) -> None:
-        """The newest frame; one that has not been sent yet is dropped."""
+        """The newest frame; one that has not been sent yet is dropped, and so is what is said of measuring."""
         self._newest = news
+        if news.note is not None and news.note[0] is self:
+            self._note = news.note[1]
         self._woken.set()
 
     def end(self, code: int, reason: str) -> None:
@@ -83,6 +87,9 @@ class _Client:
                 age_s = time.monotonic() - news.taken
                 await websocket.send_bytes(picture_message(news.picture, news.time_s, age_s))
             await websocket.send_text(news.line)
+            note, self._note = self._note, None
+            if note is not None:
+                await websocket.send_text(note)
 
 
 class _Server(uvicorn.Server):
@@ -241,6 +248,10 @@ class LiveServer:
             client.count = 0
             self._sender = client if self._camera is None else None
             self._worker.begin(asked.settings if self._camera is None else _renamed(asked.settings, self._camera[0]))
+        elif isinstance(asked, Measure):
+            if self._camera is None and self._sender is not client:
+                raise InputError("a clip must begin first")
+            self._worker.measure(client, asked.distance_m)
         else:
             self._sender = None
 
@@ -279,7 +290,7 @@ def listen(host: str, port: int) -> socket.socket:
 
 
 def _renamed(settings: Settings, source: str) -> Settings:
-    return Settings(source, settings.hand_length_m, settings.fov_deg, settings.mirrored)
+    return replace(settings, source=source)
 
 
 def _short(reason: str) -> str:

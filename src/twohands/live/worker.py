@@ -13,7 +13,7 @@ import numpy as np
 
 from twohands.errors import InputError
 from twohands.inference.frames import STALL_TIMEOUT_S, Frame
-from twohands.live.clip import LiveClip
+from twohands.live.clip import LiveClip, Told
 from twohands.live.messages import Settings, parse_picture, picture_of
 
 _JPEG_QUALITY: Final = 85
@@ -45,6 +45,7 @@ class News:
         taken: when the picture was taken over, of `time.monotonic`.
         sender: the client whose picture it was; None for the machine's own camera.
         picture: its JPEG, PNG or WebP file; None where nobody wants it.
+        note: the line for who measures, and that client; None where nobody does.
     """
 
     header: str
@@ -53,6 +54,7 @@ class News:
     taken: float
     sender: Any
     picture: bytes | None
+    note: tuple[Any, str] | None = None
 
 
 class Worker:
@@ -83,6 +85,8 @@ class Worker:
         self._news = threading.Condition()
         self._settings: Settings | None = None
         self._picture: Picture | None = None
+        self._measure: tuple[Any, float | None] | None = None
+        self._measurer: Any = None
         self._taken = 0.0
         self._stopped = False
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -103,6 +107,12 @@ class Worker:
             self._settings, self._picture = settings, None
             self._news.notify()
 
+    def measure(self, client: Any, distance_m: float | None) -> None:
+        """Takes the hand length from a hand at that distance, metres; None: no more."""
+        with self._news:
+            self._measure = client, distance_m
+            self._news.notify()
+
     def put(self, picture: Picture) -> None:
         """The newest picture; one that still waits is dropped."""
         with self._news:
@@ -115,29 +125,33 @@ class Worker:
         except BaseException as error:  # handed over, whatever it is
             self._say_end(error)
 
-    def _begin_if_asked(self) -> None:
+    def _do_what_is_asked(self) -> None:
         settings, self._settings = self._settings, None
         if settings is not None:
             self._clip.begin(settings)
+        measure, self._measure = self._measure, None
+        if measure is not None:
+            self._measurer = measure[0]
+            self._clip.measure(measure[1])
 
     def _work_on_pictures(self) -> None:
         while True:
             with self._news:
-                self._news.wait_for(lambda: self._stopped or self._settings or self._picture)
+                self._news.wait_for(lambda: self._stopped or self._settings or self._picture or self._measure)
                 if self._stopped:
                     return
-                self._begin_if_asked()
+                self._do_what_is_asked()
                 picture, self._picture = self._picture, None
                 taken = self._taken
             if picture is None:
                 continue
             try:
                 time_s, image = parse_picture(picture.message)
-                header, line = self._clip.frame(image, picture.index, time_s)
+                told = self._clip.frame(image, picture.index, time_s)
             except InputError as error:
                 self._refuse(picture.sender, str(error))
                 continue
-            self._publish(News(header, line, time_s, taken, picture.sender, picture_of(picture.message)))
+            self._tell(told, time_s, taken, picture.sender, picture_of(picture.message))
 
     def _work_on_camera(self, frames: Iterable[Frame]) -> None:
         for frame in frames:
@@ -145,11 +159,14 @@ class Worker:
             with self._news:
                 if self._stopped:
                     return
-                self._begin_if_asked()
-            header, line = self._clip.frame(frame.image, frame.index, frame.time_s)
-            picture = _jpeg(frame.image) if self._wanted() else None
-            self._publish(News(header, line, frame.time_s, taken, None, picture))
+                self._do_what_is_asked()
+            told = self._clip.frame(frame.image, frame.index, frame.time_s)
+            self._tell(told, frame.time_s, taken, None, _jpeg(frame.image) if self._wanted() else None)
         self._say_end(None)
+
+    def _tell(self, told: Told, time_s: float, taken: float, sender: Any, picture: bytes | None) -> None:
+        note = None if told.note is None else (self._measurer, told.note)
+        self._publish(News(told.header, told.line, time_s, taken, sender, picture, note))
 
 
 def _jpeg(image: np.ndarray) -> bytes:
