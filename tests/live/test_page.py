@@ -212,14 +212,13 @@ def test_joints_on_the_page_are_those_of_track(page, tmp_path):
             assert abs(line["camera"]["width"] - 2 * line["camera"]["fx"] * np.tan(np.radians(FOV_DEG / 2))) < 1e-3
         else:
             told[line["index"]] = line
-    count = len(told)
-    taken = [parse_picture(message) for message in sent[:count]]
+    order = sorted(told)  # a machine with much to do drops some
+    taken = [parse_picture(sent[index]) for index in order]
     clip = lossless_clip(tmp_path / "sent.mov", [image for _, image in taken], [time_s for time_s, _ in taken])
     out = tmp_path / "track"
     assert main(["track", str(clip), "--out", str(out), "--fov", str(FOV_DEG), "--no-overlay"]) == 0
-    _, poses = read_clip(out / "hands.jsonl")
-    poses = {pose.index: pose for pose in poses}
-    assert len(poses) == count and np.isfinite(joints(poses[FRAMES])).all(), "both hands were to be seen"
+    poses = dict(zip(order, read_clip(out / "hands.jsonl")[1], strict=True))
+    assert np.isfinite(joints(poses[shown_index])).all(), "both hands were to be seen"
     for index, line in told.items():
         streamed = [line["hands"][side]["joints_m"] or np.full((21, 3), np.nan) for side in ("left", "right")]
         np.testing.assert_allclose(np.array(streamed), joints(poses[index]), atol=1e-3, equal_nan=True)
