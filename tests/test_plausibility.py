@@ -44,6 +44,7 @@ SIZE = (640, 360)
         (PinholeCamera(4.25, 4.25, 320, 180, *SIZE), "millimetres"),
         (PinholeCamera(4.25, 4.25, 3.2, 1.8, *SIZE), "look like millimetres"),
         (PinholeCamera(0.39, 0.7, 0.5, 0.5, *SIZE), "fractions"),
+        (PinholeCamera(0.004, 0.004, -0.78, -0.22, *SIZE), "inverted camera matrix"),
         (PinholeCamera(250, 250, 180, 320, *SIZE), "cx and cy, or width and height, look exchanged"),
         (PinholeCamera(250, 250, 0, 0, *SIZE), "far from its middle"),
         (PinholeCamera(250, 500, 320, 180, *SIZE), "fx 250 and fy 500 differ"),

@@ -61,6 +61,8 @@ def camera_doubts(camera: PinholeCamera) -> list[str]:
         guess = "fractions of its size: multiply them by its width and height"
         if min(camera.cx, camera.cy) > 1:
             guess = "millimetres: divide them by the size of the sensor's pixels"
+        elif min(camera.cx, camera.cy) < 0:
+            guess = "an inverted camera matrix: give the matrix itself"
         return [
             f"intrinsics of fx {camera.fx:g}, fy {camera.fy:g}, cx {camera.cx:g}, cy {camera.cy:g} for a picture of "
             f"{camera.width}x{camera.height} look like {guess}, pixels are expected"

@@ -123,6 +123,14 @@ def test_json_of_absurd_depth_is_refused(tmp_path):
         read_camera(tmp_path / "c.json")
 
 
+def test_lists_in_lists_without_end_are_refused(tmp_path):
+    """JSON allows as many levels as Python's stack has; each reader below it needs some, too."""
+    for key in ("K", "distortion", "intrinsics", "resolution"):
+        (tmp_path / "c.json").write_text(f'{{"{key}": {"[" * 900}1{"]" * 900}}}')
+        with pytest.raises(DataFormatError):
+            read_camera(tmp_path / "c.json")
+
+
 def test_missing_and_binary_files_are_refused(tmp_path):
     with pytest.raises(InputError, match="no such camera file"):
         read_camera(tmp_path / "none.json")
@@ -259,6 +267,40 @@ REALSENSE = {
     "width": 640, "height": 360, "fx": 250.56, "fy": 250.56, "ppx": 319.5, "ppy": 179.5, "model": "Brown Conrady",
     "coeffs": LENS,
 }  # fmt: skip
+ROS2_ECHO = ROS_MESSAGE.lower() + "---\n"
+VINS = """%YAML:1.0
+---
+model_type: PINHOLE
+image_width: 640
+image_height: 360
+distortion_parameters:
+   k1: 0.01
+   k2: -0.02
+   p1: 0.0005
+   p2: -0.0003
+projection_parameters:
+   fx: 250.56
+   fy: 250.56
+   cx: 319.5
+   cy: 179.5
+"""
+EUROC = """sensor_type: camera
+comment: VI-Sensor cam0
+T_BS: {cols: 2, rows: 1, data: [1.0, 0.0]}
+rate_hz: 20
+resolution: [640, 360]
+camera_model: pinhole
+intrinsics: [250.56, 250.56, 319.5, 179.5]
+distortion_model: radial-tangential
+distortion_coefficients: [0.01, -0.02, 0.0005, -0.0003]
+"""
+LENS_BY_NAME = dict(zip(("k1", "k2", "p1", "p2", "k3"), LENS, strict=True))
+BASALT = {
+    "value0": {
+        "intrinsics": [{"camera_type": "pinhole", "intrinsics": {key: PLAIN[key] for key in ("fx", "fy", "cx", "cy")}}],
+        "resolution": [[640, 360]],
+    }
+}
 STORAGE = {"type_id": "opencv-matrix", "rows": 3, "cols": 3, "dt": "d", "data": FLAT_K}
 
 
@@ -270,6 +312,7 @@ STORAGE = {"type_id": "opencv-matrix", "rows": 3, "cols": 3, "dt": "d", "data": 
         PLAIN | {"distortion_coefficients": [LENS]},
         PLAIN | {"distCoeffs": [[value] for value in LENS], "comment": "desk"},
         PLAIN | {"distortion": dict(zip(("k1", "k2", "p1", "p2", "k3"), LENS, strict=True))},
+        PLAIN | {"D": LENS_BY_NAME, "fisheye": "no"},
         {"intrinsics": PLAIN, "D": LENS, "rms": 0.3},
         {"camera_matrix": K, "dist_coeff": [LENS], "image_size": [640, 360]},
         {"mtx": K, "dist": LENS, "image_width": 640, "image_height": 360},
@@ -281,6 +324,9 @@ STORAGE = {"type_id": "opencv-matrix", "rows": 3, "cols": 3, "dt": "d", "data": 
         ROS,
         "%YAML:1.0\n---\n" + ROS,
         ROS_MESSAGE,
+        ROS2_ECHO,
+        VINS,
+        EUROC,
         KALIBR,
         SLAM,
         TUTORIAL,
@@ -299,6 +345,79 @@ def test_the_same_camera_in_everybodys_words(tmp_path, content, packed):
     assert (*camera.distortion, 0.0)[:5] == SAME.distortion
     for name in PLAIN:
         assert getattr(camera, name) == pytest.approx(getattr(SAME, name), abs=1e-9)
+
+
+@pytest.mark.parametrize("suffix", [".xml", ".yml", ".json", ".yml.gz"])
+@pytest.mark.parametrize("kind", [np.float64, np.float32])
+def test_packed_numbers_of_opencv_are_read(tmp_path, suffix, kind):
+    """FileStorage's WRITE_BASE64: the matrices' bytes in letters."""
+    storage = cv2.FileStorage(str(tmp_path / f"c{suffix}"), cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_BASE64)
+    storage.write("image_width", 640)
+    storage.write("image_height", 360)
+    storage.write("camera_matrix", np.array(K, kind))
+    storage.write("distortion_coefficients", np.array([LENS], kind))
+    storage.release()
+    camera = read_camera(tmp_path / f"c{suffix}")
+    assert (camera.fx, camera.cx, *camera.distortion) == pytest.approx((SAME.fx, SAME.cx, *LENS), rel=1e-6)
+    text = (tmp_path / "c.json").read_text().replace("MWQg", "MXgg") if suffix == ".json" and kind == np.float64 else ""
+    if text:
+        (tmp_path / "c.json").write_text(text)
+        with pytest.raises(DataFormatError, match="numbers expected"):
+            read_camera(tmp_path / "c.json")
+
+
+def test_basalts_cameras_are_told_by_their_model(tmp_path):
+    (tmp_path / "c.json").write_text(json.dumps(BASALT))
+    assert read_camera(tmp_path / "c.json") == PinholeCamera(**PLAIN)
+    for text, message in (
+        (json.dumps(BASALT).replace("pinhole", "kb4"), "lens model 'kb4'"),
+        (json.dumps({"value0": {"intrinsics": [{"camera_type": "pinhole"}] * 2}}), "2 cameras in 'intrinsics'"),
+    ):
+        (tmp_path / "c.json").write_text(text)
+        with pytest.raises(DataFormatError, match=message):
+            read_camera(tmp_path / "c.json")
+
+
+FISHEYE_IN_WORDS = {
+    "description": "fisheye calibration of the left camera",
+    "calibration_method": "cv2.fisheye.calibrate",
+    "flags": "CALIB_FISHEYE + CALIB_FIX_SKEW",
+    "notes": "Kannala-Brandt, 4 coefficients",
+    "camera_name": "FishEye_front",
+}
+
+
+@pytest.mark.parametrize("key", FISHEYE_IN_WORDS)
+def test_a_fisheye_named_in_words_is_not_taken_for_a_pinhole(tmp_path, key):
+    """Where nothing else says what the coefficients are; pictures that were undistorted have none."""
+    words = {key: FISHEYE_IN_WORDS[key]}
+    (tmp_path / "c.json").write_text(json.dumps(PLAIN | words | {"D": LENS[:4]}))
+    with pytest.raises(DataFormatError, match=f"'{key}' names a lens that is no pinhole"):
+        read_camera(tmp_path / "c.json")
+    for right in ({"D": LENS, "distortion_model": "plumb_bob"}, {}):
+        (tmp_path / "c.json").write_text(json.dumps(PLAIN | words | right))
+        assert read_camera(tmp_path / "c.json").fx == PLAIN["fx"]
+
+
+def test_pictures_with_lenses_of_their_own_are_several_cameras(tmp_path):
+    """nerfstudio's frames may say each one's camera, which was left out."""
+    for lens, message in (
+        ({"fl_x": 300}, "fl_x both say what fx is"),
+        ({"camera_model": "OPENCV_FISHEYE"}, "OPENCV_FISHEYE"),
+        ({"k1": 0.3}, "k1 both say"),
+    ):
+        (tmp_path / "c.json").write_text(json.dumps(NERF | {"frames": [{"file_path": "a.png", **lens}]}))
+        with pytest.raises(DataFormatError, match=message):
+            read_camera(tmp_path / "c.json")
+    same = {key: NERF[key] for key in ("fl_x", "w", "k1", "camera_model")}
+    (tmp_path / "c.json").write_text(json.dumps(NERF | {"frames": [{"file_path": "a.png", **same}] * 3}))
+    assert read_camera(tmp_path / "c.json").distortion == tuple(LENS[:4])
+
+
+def test_utf_16_without_its_mark_is_named(tmp_path):
+    (tmp_path / "c.json").write_bytes(json.dumps(PLAIN).encode("utf-16-le"))
+    with pytest.raises(DataFormatError, match="UTF-16 and UTF-32 need a byte order mark"):
+        read_camera(tmp_path / "c.json")
 
 
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-32"])
@@ -337,6 +456,9 @@ def test_names_of_opencvs_own_model_are_read(tmp_path, model):
         (COLMAP + "2 PINHOLE 640 360 250 250 320 180", "2 cameras"),
         (NERF | {"is_fisheye": True}, "fisheye"),
         (NERF | {"k4": 0.1}, "k4 without k5"),
+        ("Camera:\n  setup: monocular\n  model: fisheye\n  fx: 250\n", "lens model 'fisheye'"),
+        (PLAIN | {"fisheye": 1.0}, "fisheye lens"),
+        (ROS_MESSAGE + "---\n" + ROS_MESSAGE, "several documents"),
         (REALSENSE | {"model": "Inverse Brown Conrady"}, "Inverse Brown Conrady"),
         (ROS_MESSAGE.replace("binning_x: 0", "binning_x: 2"), "binning"),
         (ROS_MESSAGE.replace("x_offset: 0", "x_offset: 16"), "region of interest"),

@@ -7,11 +7,11 @@ OpenCV's pinhole with k1, k2, p1, p2, ... is refused by its name for the same re
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -22,10 +22,15 @@ from twohands.formats.camera_keys import (
     CONTAINERS,
     FIELD_OF_KEY,
     FOCAL_ONLY_WHEN_STRAIGHT,
+    FROM_PIXEL_CENTRES,
+    LENS_IN_WORDS,
+    NO_FISHEYE,
     NO_MATTER,
+    OTHER_LENSES,
     PINHOLE,
     SLAM_FIELDS,
 )
+from twohands.formats.camera_numbers import in_words, is_matrix, number_of, numbers_of, plain_key
 from twohands.formats.structured import decode_text, parse_json, parse_xml, parse_yaml, read_bytes
 from twohands.types import PinholeCamera
 
@@ -45,6 +50,7 @@ _COLMAP: Final[Mapping[str, tuple[str, ...]]] = {
     "FULL_OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
 }
 """Parameters of COLMAP's camera models, in its order."""
+_NOTHING: Final[Mapping[str, str]] = MappingProxyType({})
 _INI: Final = re.compile(r"(?:#[^\n]*\n\s*)*(?:\[[A-Za-z][\w ]*\]\s*\n|\w+ *= *\S)")
 """How such a file begins, behind its comments: with [section], or name = value."""
 _COLMAP_LINE: Final = re.compile(r"\d+\s+([A-Z][A-Z_]+)\s+(\d+)\s+(\d+)\s+(.+)")
@@ -57,10 +63,14 @@ class _Found:
     Attributes:
         values: by the name of its field, the value and the key that said so.
         models: names of lens models, as they stand in the file.
+        words: by their keys, texts that may say by the way what the lens is.
+        unknown: keys that are not known.
     """
 
     values: dict[str, tuple[Any, str]] = field(default_factory=dict)
     models: list[str] = field(default_factory=list)
+    words: dict[str, str] = field(default_factory=dict)
+    unknown: list[str] = field(default_factory=list)
 
     def add(self, name: str, value: Any, key: str) -> None:
         """Takes one value in.
@@ -136,7 +146,7 @@ def _record(data: bytes) -> dict[str, Any]:
     if isinstance(content, list) and len(content) == 1:
         content = content[0]
     if not isinstance(content, dict):
-        raise DataFormatError(f"camera: an object with keys expected, found {_kind(content)}")
+        raise DataFormatError(f"camera: an object with keys expected, found {in_words(content)}")
     return content
 
 
@@ -161,11 +171,17 @@ def _camera(record: Mapping[str, Any]) -> PinholeCamera:
     _gather(record, found, depth=0)
     for model in found.models:
         _check_model(model, found)
+    if found.unknown:
+        raise DataFormatError(
+            f"camera: unknown key '{found.unknown[0][:60]}'; if it says something about the lens, rename it "
+            "(docs/inputs.md), else take it out"
+        )
+    _check_words(found)
     _expand(found)
     missing = [name for name in _OURS if name not in found.values]
     if missing:
         raise DataFormatError(f"camera: {', '.join(missing)} missing; needed: {', '.join(_OURS)}")
-    values: dict[str, Any] = {name: _number(*found.values[name]) for name in _OURS}
+    values: dict[str, Any] = {name: number_of(*found.values[name]) for name in _OURS}
     for name in ("width", "height"):
         if not values[name].is_integer():
             raise DataFormatError(f"camera: {name} must be a whole number, got {found.get(name)!r}")
@@ -173,34 +189,59 @@ def _camera(record: Mapping[str, Any]) -> PinholeCamera:
     return PinholeCamera(**values, distortion=_distortion(found))
 
 
-def _gather(record: Mapping[str, Any], found: _Found, depth: int) -> None:
+def _gather(record: Mapping[str, Any], found: _Found, depth: int, renamed: Mapping[str, str] = _NOTHING) -> None:
     """Sorts the keys of a record and of the records in it into the fields.
 
+    Args:
+        record: what the file holds, or a part of it.
+        found: what has been read so far.
+        depth: of the part.
+        renamed: fields that mean something else in this part.
+
     Raises:
-        DataFormatError: a key is not known, or said twice.
+        DataFormatError: a key is said twice, or there are several cameras.
     """
     several = [key for key, value in record.items() if re.fullmatch(r"cam(era)?_?\d", key) and isinstance(value, dict)]
     if len(several) > 1:
         raise DataFormatError(f"camera: {len(several)} cameras ({', '.join(several)}); a file of one is needed")
     for key, value in record.items():
-        plain = _plain(key)
-        if isinstance(value, dict) and not _is_matrix(value) and _holds_a_record(plain) and depth < 4:
-            _gather(value, found, depth + 1)
+        plain = plain_key(key)
+        if plain == "frames" and isinstance(value, list):
+            _gather_frames(value, found)
+            continue
+        if _holds_a_record(plain) and isinstance(value, list) and any(isinstance(each, dict) for each in value):
+            if len(value) > 1:
+                raise DataFormatError(f"camera: {len(value)} cameras in '{key[:60]}'; a file of one is needed")
+            value = value[0]
+        if isinstance(value, dict) and not is_matrix(value) and _holds_a_record(plain) and depth < 4:
+            _gather(value, found, depth + 1, FROM_PIXEL_CENTRES.get(plain, _NOTHING))
             continue
         name = FIELD_OF_KEY.get(plain)
+        name = renamed.get(name or "", name)
         if (slam := re.fullmatch(f"camera1?({'|'.join(SLAM_FIELDS)})", plain)) is not None:
             name = SLAM_FIELDS[slam[1]]
         if name == "model":
             found.models.append(str(value))
-        elif name in (*COEFFICIENTS, "matrix") and plain in COEFFICIENTS and _is_matrix(value):
+        elif name in (*COEFFICIENTS, "matrix") and plain in COEFFICIENTS and is_matrix(value):
             raise DataFormatError(f"camera: '{key}' is one matrix of several; a file of one camera is needed")
         elif name is not None:
             found.add(name, value, key)
         elif not NO_MATTER.fullmatch(plain):
-            raise DataFormatError(
-                f"camera: unknown key '{key[:60]}'; if it says something about the lens, rename it (docs/inputs.md), "
-                "else take it out"
-            )
+            found.unknown.append(key)
+        elif isinstance(value, str) and LENS_IN_WORDS.fullmatch(plain):
+            found.words[key] = value
+
+
+def _gather_frames(frames: list[Any], found: _Found) -> None:
+    """What nerfstudio's list of pictures says of each one's lens: the same as of all, or there are several cameras.
+
+    Raises:
+        DataFormatError: a picture has a camera of its own.
+    """
+    for frame in frames:
+        if isinstance(frame, dict):
+            lens = {key: value for key, value in frame.items() if plain_key(key) in FIELD_OF_KEY}
+            _gather(lens, found, depth=1)
 
 
 def _holds_a_record(plain: str) -> bool:
@@ -209,7 +250,7 @@ def _holds_a_record(plain: str) -> bool:
 
 def _check_model(model: str, found: _Found) -> None:
     """Raises DataFormatError for a lens model that is not OpenCV's pinhole."""
-    plain = _plain(model).removeprefix("rs2")
+    plain = plain_key(model).removeprefix("rs2")
     if plain in PINHOLE or plain == "false":
         return
     if plain in FOCAL_ONLY_WHEN_STRAIGHT and not any(_distortion(found)):
@@ -218,6 +259,19 @@ def _check_model(model: str, found: _Found) -> None:
         f"camera: lens model '{model[:60]}'; only pinhole cameras with OpenCV's k1, k2, p1, p2, k3 to k6 are known, "
         "so undistort the pictures first and give the camera of those"
     )
+
+
+def _check_words(found: _Found) -> None:
+    """Raises DataFormatError where a description or flags name another lens than a pinhole, and nothing else says that
+    the coefficients are a pinhole's; of pictures that were undistorted there are none."""
+    if found.models or not any(_distortion(found)):
+        return
+    for key, text in found.words.items():
+        if other := OTHER_LENSES.search(re.sub("[^a-z]", "", text.lower())):
+            raise DataFormatError(
+                f"camera: '{key[:60]}' names a lens that is no pinhole ({other[0]}); if the coefficients are OpenCV's "
+                "k1, k2, p1, p2 all the same, say distortion_model: plumb_bob, else undistort the pictures first"
+            )
 
 
 def _expand(found: _Found) -> None:
@@ -229,7 +283,7 @@ def _expand(found: _Found) -> None:
     if (params := found.get("params")) is not None:
         _expand_params(params, found)
     if (intrinsics := found.get("intrinsics")) is not None:
-        values, shape = _numbers(intrinsics, "intrinsics")
+        values, shape = numbers_of(intrinsics, "intrinsics")
         if shape in ((3, 3), (9,)):
             found.add("matrix", intrinsics, found.values["intrinsics"][1])
         elif shape == (4,):
@@ -243,7 +297,7 @@ def _expand(found: _Found) -> None:
         for name, value in _from_matrix(matrix, found.values["matrix"][1]).items():
             found.add(name, value, found.values["matrix"][1])
     if (focal := found.get("focal")) is not None:
-        values, _ = _numbers(focal, "focal length")
+        values, _ = numbers_of(focal, "focal length")
         if len(values) not in (1, 2):
             raise DataFormatError(f"camera: focal length: one or two numbers expected, got {len(values)}")
         found.add("fx", values[0], found.values["focal"][1])
@@ -251,9 +305,9 @@ def _expand(found: _Found) -> None:
     for name in ("cx", "cy"):
         if (centre := found.get(f"{name}_opencv")) is not None:
             key = found.values[f"{name}_opencv"][1]
-            found.add(name, _number(centre, key) + 0.5, key)
+            found.add(name, number_of(centre, key) + 0.5, key)
     if (size := found.get("size")) is not None:
-        values, _ = _numbers(size, "image size")
+        values, _ = numbers_of(size, "image size")
         if len(values) != 2:
             raise DataFormatError(f"camera: image size: width and height expected, got {len(values)} numbers")
         found.add("width", values[0], found.values["size"][1])
@@ -263,7 +317,7 @@ def _expand(found: _Found) -> None:
 
 def _expand_params(params: Any, found: _Found) -> None:
     """Parameters in the order of COLMAP's camera model."""
-    values, _ = _numbers(params, "params")
+    values, _ = numbers_of(params, "params")
     names = _COLMAP.get(found.models[0].upper() if found.models else "")
     if names is None or len(names) != len(values):
         raise DataFormatError(f"camera: params: those of a COLMAP model expected ({', '.join(_COLMAP)})")
@@ -274,9 +328,11 @@ def _expand_params(params: Any, found: _Found) -> None:
 def _check_unused(found: _Found) -> None:
     """Raises DataFormatError for what a camera of ours cannot say: skew, thin prisms, binning, a region of interest."""
     for name in ("skew", "s1", "s2", "s3", "s4"):
-        if (value := found.get(name)) is not None and _number(value, name) != 0:
+        if (value := found.get(name)) is not None and number_of(value, name) != 0:
             raise DataFormatError(f"camera: {name} of {value}; only 0 can be used")
-    if (fisheye := found.get("fisheye")) is not None and fisheye not in (0, False):
+    fisheye = found.get("fisheye")
+    no_fisheye = isinstance(fisheye, str) and plain_key(fisheye) in NO_FISHEYE
+    if fisheye is not None and fisheye not in (0, False) and not no_fisheye:
         raise DataFormatError(
             "camera: a fisheye lens; only pinhole cameras with OpenCV's k1, k2, p1, p2, k3 to k6 are known, so "
             "undistort the pictures first and give the camera of those"
@@ -294,7 +350,7 @@ def _from_matrix(value: Any, key: str) -> dict[str, float]:
     Raises:
         DataFormatError: it is no camera matrix, transposed, or has skew.
     """
-    values, shape = _numbers(value, key)
+    values, shape = numbers_of(value, key)
     if shape not in ((3, 3), (9,)):
         raise DataFormatError(f"camera: {key}: a 3x3 matrix expected, got shape {shape}")
     matrix = np.array(values, np.float64).reshape(3, 3)
@@ -328,11 +384,11 @@ def _distortion(found: _Found) -> tuple[float, ...]:
     Raises:
         DataFormatError: they are no numbers, given in two ways, or one is there without those before it.
     """
-    single = {name: _number(*found.values[name]) for name in COEFFICIENTS if name in found.values}
+    single = {name: number_of(*found.values[name]) for name in COEFFICIENTS if name in found.values}
     value = found.get("distortion")
     if value is not None and not isinstance(value, list | dict):
-        raise DataFormatError(f"camera: distortion: a list of numbers expected, got {_kind(value)}")
-    listed = [] if value is None else _numbers(value, found.values["distortion"][1])[0]
+        raise DataFormatError(f"camera: distortion: a list of numbers expected, got {in_words(value)}")
+    listed = [] if value is None else numbers_of(value, found.values["distortion"][1])[0]
     if any(single.values()) and any(listed):
         raise DataFormatError(f"camera: distortion both as {found.values['distortion'][1]} and as {', '.join(single)}")
     if single.get("k4") and not {"k5", "k6"} <= single.keys():
@@ -343,56 +399,3 @@ def _distortion(found: _Found) -> tuple[float, ...]:
     while len(listed) > MOST_COEFFICIENTS and listed[-1] == 0:
         listed = listed[:-1]  # OpenCV pads those of its larger models
     return tuple(listed) if any(listed) else ()
-
-
-def _numbers(value: Any, key: str) -> tuple[list[float], tuple[int, ...]]:
-    """All numbers of a list, a nested list or a matrix of OpenCV's, in order, and their shape.
-
-    Raises:
-        DataFormatError: something else than numbers, or as many as the matrix does not say.
-    """
-    if value is None:
-        return [], (0,)
-    if isinstance(value, dict) and _is_matrix(value):
-        flat, _ = _numbers(value.get("data"), key)
-        rows, columns = (_number(value.get(name), f"{key}.{name}") for name in ("rows", "cols"))
-        if rows * columns != len(flat):
-            raise DataFormatError(f"camera: {key}: {rows:g}x{columns:g} numbers announced, found {len(flat)}")
-        return flat, (int(rows), int(columns))
-    if isinstance(value, list) and any(isinstance(row, list) for row in value):
-        rows = [_numbers(row, key)[0] if isinstance(row, list) else [_number(row, key)] for row in value]
-        lengths = {len(row) for row in rows}
-        shape = (len(rows), *lengths) if len(lengths) == 1 else (sum(map(len, rows)),)
-        return [number for row in rows for number in row], shape
-    if isinstance(value, list):
-        return [_number(item, key) for item in value], (len(value),)
-    return [_number(value, key)], (1,)
-
-
-def _is_matrix(value: Any) -> bool:
-    """Whether a value is a matrix as OpenCV and ROS write it."""
-    return isinstance(value, dict) and "data" in value and set(value) <= {"type_id", "rows", "cols", "dt", "data"}
-
-
-def _number(value: Any, key: str) -> float:
-    """A number, which may be no finite one.
-
-    Raises:
-        DataFormatError: it is none.
-    """
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise DataFormatError(f"camera: {key}: numbers expected, got {_kind(value)}")
-    try:
-        return float(value)
-    except OverflowError:
-        return math.inf
-
-
-def _kind(value: Any) -> str:
-    """A value in a few words."""
-    return f"{str(value)[:40]!r}" if isinstance(value, str | bool) or value is None else type(value).__name__
-
-
-def _plain(key: str) -> str:
-    """A key's letters and digits, in small letters."""
-    return re.sub(r"[^a-z0-9]", "", key.lower())

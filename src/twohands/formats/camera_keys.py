@@ -48,10 +48,14 @@ SLAM_FIELDS: Final[Mapping[str, str]] = {
 """What ORB-SLAM's keys mean, Camera.fx or Camera1.fx: it counts pixels as OpenCV does."""
 CONTAINERS: Final = frozenset(
     {"intrinsics", "intrinsic", "camera", "cam", "cam0", "camera0", "cameraparameters", "cameraparams", "calibration"}
-    | {"camerainfo", "cameracalibration", "imagesize", "resolution", "distortion", "distcoeffs", "value0", "size"}
-    | {"distortioncoefficients", "distortionparameters", "projectionparameters", "cameraintrinsics"}
+    | {"camerainfo", "cameracalibration", "imagesize", "resolution", "value0", "size", "cameraintrinsics"}
+    | {"projectionparameters", *(key for key, name in FIELD_OF_KEY.items() if name == "distortion")}
 )
 """Keys under which a file may hold the record, or a part of it, one level deeper."""
+FROM_PIXEL_CENTRES: Final[Mapping[str, Mapping[str, str]]] = {
+    "projectionparameters": {name: f"{name}_opencv" for name in ("cx", "cy")}
+}
+"""Of those keys, whose cx and cy count from the centre of the first pixel, as in a camera matrix (VINS-Mono)."""
 NO_MATTER: Final = re.compile(
     "|".join(
         (
@@ -67,11 +71,19 @@ NO_MATTER: Final = re.compile(
             "t(?:cam|cn|ci|ic|bs|b).*|rostopic|timeshift.*|camoverlaps|bf|camerabf|thdepth.*|depthmapfactor|baseline",
             "(?:orbextractor|viewer|system|stereo|imu|rgbd|loopclosing|tracking)[a-z].*|aabbscale|appliedtransform",
             "appliedscale|plyfilepath|orientationoverride|cameraanglex|cameraangley|xfov|yfov|hfov|vfov|fov",
-            "transform.*|stride|format",
+            "transform.*|stride|format|sensortype|ratehz",
         )
     )
 )
 """Keys, as in `FIELD_OF_KEY`, that say nothing about how a ray meets the picture, or say it again."""
+LENS_IN_WORDS: Final = re.compile(
+    "(?:description|comments?|notes?|title|(?:camera|cam|lens)?name|flags?.*|calibration(?:flags|method|tool)|lensname)"
+)
+"""Keys of `NO_MATTER` whose words may say by the way what the lens is."""
+OTHER_LENSES: Final = re.compile("fisheye|equidistant|equisolid|kannala|omnidirectional|catadioptric")
+"""Words for lenses that are no pinhole, by their letters alone."""
+NO_FISHEYE: Final = frozenset({"", "0", "no", "n", "none", "off", "false"})
+"""What a key that asks for a fisheye says where there is none."""
 PINHOLE: Final = frozenset(
     {"pinhole", "perspective", "plumbbob", "radtan", "radialtangential", "rationalpolynomial", "opencv", "fullopencv"}
     | {"simplepinhole", "simpleradial", "radial", "brownconrady", "brown", "none", "nodistortion", "undistorted"}

@@ -81,6 +81,8 @@ def decode_text(data: bytes) -> str:
         DataFormatError: it is none.
     """
     encoding = next((name for mark, name in _BYTE_ORDER_MARKS if data.startswith(mark)), "utf-8")
+    if encoding == "utf-8" and b"\0" in data[:4]:
+        raise DataFormatError("not text in UTF-8 (zero bytes; UTF-16 and UTF-32 need a byte order mark)")
     try:
         return data.decode(encoding)
     except UnicodeDecodeError as error:
@@ -184,11 +186,7 @@ def _yaml_tree(events: Iterable[Any]) -> Any:
     import yaml
 
     open_ones: list[list[Any]] = [[]]  # contents so far of the document and of every list or mapping that is open
-    documents = 0
     for event in events:
-        documents += isinstance(event, yaml.DocumentStartEvent)
-        if documents > 1:
-            raise ValueError("several documents (---), one expected")
         if getattr(event, "anchor", None) is not None:
             raise ValueError("anchors and aliases (& and *) are not read")
         if isinstance(event, yaml.CollectionStartEvent):
@@ -202,7 +200,10 @@ def _yaml_tree(events: Iterable[Any]) -> Any:
             open_ones[-1].append(_object(list(pairs)) if mapping else items)
         elif isinstance(event, yaml.ScalarEvent):
             open_ones[-1].append(event.value if event.style else _word(event.value))
-    return open_ones[0][0] if open_ones[0] else None
+    documents = [document for document in open_ones[0] if document is not None]  # an empty one ends `ros2 topic echo`
+    if len(documents) > 1:
+        raise ValueError("several documents (---), one expected")
+    return documents[0] if documents else None
 
 
 def _xml_value(element: ElementTree.Element) -> Any:
