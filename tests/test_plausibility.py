@@ -47,6 +47,8 @@ SIZE = (640, 360)
         (PinholeCamera(0.004, 0.004, -0.78, -0.22, *SIZE), "inverted camera matrix"),
         (PinholeCamera(250, 250, 180, 320, *SIZE), "cx and cy, or width and height, look exchanged"),
         (PinholeCamera(250, 250, 0, 0, *SIZE), "far from its middle"),
+        (PinholeCamera(500, 500, 640, 360, *SIZE), "a picture 2 times as large"),
+        (PinholeCamera(125, 125, 161, 91, *SIZE), "a picture 0.5 times as large"),
         (PinholeCamera(250, 500, 320, 180, *SIZE), "fx 250 and fy 500 differ"),
         (PinholeCamera(9000, 9000, 320, 180, *SIZE), "larger picture"),
     ],

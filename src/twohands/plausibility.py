@@ -19,10 +19,12 @@ FIELD_OF_VIEW_DEG: Final = (8.0, 140.0)
 """Along the longer side, of lenses that a pinhole describes."""
 RANGE_M: Final = (0.08, 8.0)
 """Distance at which a hand fills a lens, and at which it is a few pixels."""
-CENTRED: Final = (0.25, 0.75)
+CENTRED: Final = (0.3, 0.7)
 """Where the principal point lies, as fractions of width and height."""
 LARGEST_NUMBER: Final = 1e9
 """Of a joint's coordinates, in whatever unit: no picture or room is larger, and squares of them can still be summed."""
+_SAME_TIMES: Final = 1.15
+"""Between width and height, of a picture that was scaled, where the principal point is near the middle."""
 _LIKELY_HAND_M: Final = (0.075, 0.135)
 _LIKELY_FOV_DEG: Final = (25.0, 130.0)
 
@@ -87,8 +89,11 @@ def camera_doubts(camera: PinholeCamera) -> list[str]:
         doubts.append(f"fx {camera.fx:g} and fy {camera.fy:g} differ much; pixels of nearly all cameras are square")
     if not _centred(camera.cx, camera.cy, camera):
         guess = "was the picture cropped?"
+        times = (2 * camera.cx / camera.width, 2 * camera.cy / camera.height)
         if _centred(camera.cy, camera.cx, camera):
             guess = "cx and cy, or width and height, look exchanged"
+        elif min(times) > 0 and max(times) < _SAME_TIMES * min(times):
+            guess = f"are the intrinsics of a picture {sum(times) / 2:.2g} times as large? Then scale them"
         doubts.append(
             f"a principal point of ({camera.cx:g}, {camera.cy:g}) in a picture of {camera.width}x{camera.height} is "
             f"far from its middle: {guess}"

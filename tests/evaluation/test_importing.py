@@ -294,6 +294,11 @@ def moved(content: dict[str, Any], change: Any, key: str = "joints_m") -> dict[s
         (lambda joints: joints * 1000, "looks like millimetres"),
         (lambda joints: joints * 100, "looks like centimetres"),
         (lambda joints: joints * [1, -1, 1], "y points up"),
+        (lambda joints: joints * [-1, 1, 1], "x points left"),
+        (lambda joints: joints * [1, 1, -1], "behind the camera"),
+        (lambda joints: joints - joints.mean(axis=0), "or relative to a joint"),
+        (lambda joints: joints / 0.0254, "looks like centimetres"),
+        (lambda joints: joints * 10, "in another unit|looks like another unit"),
         (lambda joints: joints[:, [1, 0, 2]], "x and y are exchanged"),
     ],
 )
@@ -308,6 +313,11 @@ def test_metres_in_another_frame_are_refused_and_the_frame_is_named(tmp_path: Pa
     [
         (lambda joints: joints / [SAMPLES[0].camera.width, SAMPLES[0].camera.height], "fractions of the picture"),
         (lambda joints: joints[:, ::-1], "rows and columns are exchanged"),
+        (lambda joints: joints * [1, -1] + [0, SAMPLES[0].camera.height], "lower edge"),
+        (lambda joints: joints * [-1, 1] + [SAMPLES[0].camera.width, 0], "mirrored"),
+        (lambda joints: 2 * joints / [SAMPLES[0].camera.width, SAMPLES[0].camera.height] - 1, "from -1 to 1"),
+        (lambda joints: joints * 2, "another size, 2 times as wide and 2 times as high"),
+        (lambda joints: joints * [256 / SAMPLES[0].camera.width, 256 / SAMPLES[0].camera.height], "another size"),
     ],
 )
 def test_pixels_in_another_order_or_unit_are_refused(tmp_path: Path, change: Any, message: str) -> None:

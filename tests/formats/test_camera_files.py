@@ -506,8 +506,18 @@ def test_many_comments_take_no_time(tmp_path):
     assert read_camera(tmp_path / "c.yaml") == PinholeCamera(**PLAIN)
 
 
-def test_a_homogeneous_matrix_is_scaled(tmp_path):
-    (tmp_path / "c.json").write_text(json.dumps({"K": (2 * np.array(K)).tolist(), "D": LENS, "w": 640, "h": 360}))
+@pytest.mark.parametrize("factor", [2, -1, 1e-6, 1 / 250.56])
+def test_a_homogeneous_matrix_is_scaled(tmp_path, factor):
+    matrix = factor * np.array(K)
+    (tmp_path / "c.json").write_text(json.dumps({"K": matrix.tolist(), "D": LENS, "w": 640, "h": 360}))
+    camera = read_camera(tmp_path / "c.json")
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == pytest.approx((SAME.fx, SAME.fy, SAME.cx, SAME.cy))
+
+
+def test_rounding_of_a_matrix_is_no_skew(tmp_path):
+    """A product of matrices in float32 has zeros of this size."""
+    rounded = [[250.56, 3e-6, 319.5], [-2e-6, 250.56, 179.5], [1e-10, -3e-9, 1.0]]
+    (tmp_path / "c.json").write_text(json.dumps({"K": rounded, "D": LENS, "w": 640, "h": 360}))
     assert read_camera(tmp_path / "c.json") == SAME
 
 

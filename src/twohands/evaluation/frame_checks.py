@@ -26,6 +26,8 @@ _FAR_OFF: Final = 0.05
 """Of the picture's diagonal: an error in 2D from which on another frame is thought of."""
 _MUCH_BETTER: Final = 0.25
 """Share of the error that is left when the frame is the cause of it."""
+_OTHER_SIZE: Final = 1.2
+"""Of a picture over the labels', from which on its pixels are others."""
 
 
 def refuse_impossible(joints_m: FloatArray) -> None:
@@ -55,9 +57,11 @@ class FrameCheck:
 
     Attributes:
         errors: by frame, the mean distance of each hand's joints to its labels in 2D, as a fraction of the diagonal.
+        products: of pixels given and labelled, for u and v, summed over joints: given², given x labelled, labelled².
     """
 
     errors: dict[str, list[float]] = field(default_factory=lambda: dict[str, list[float]]())
+    products: FloatArray = field(default_factory=lambda: np.zeros((3, 2)))
 
     def add(
         self,
@@ -83,8 +87,13 @@ class FrameCheck:
                 "joints_px: counted from the picture's lower edge; v down from the upper edge is expected": np.stack(
                     [joints_px[:, 0], camera.height - joints_px[:, 1]], axis=1
                 ),
+                "joints_px: counted from the picture's right edge, as in a mirrored picture": np.stack(
+                    [camera.width - joints_px[:, 0], joints_px[:, 1]], axis=1
+                ),
                 "joints_px: fractions of the picture, as MediaPipe gives them; pixels are expected": joints_px * size,
+                "joints_px: from -1 to 1 over the picture; pixels are expected": (joints_px + 1) / 2 * size,
             }
+            self._add_products(joints_px, truth_px)
         elif joints_m is not None:
             candidates = {
                 "": _seen(joints_m, camera),
@@ -104,9 +113,32 @@ class FrameCheck:
         medians = {name: float(np.median(errors)) for name, errors in self.errors.items()}
         plain = medians.pop("", 0.0)
         best = min(medians, key=lambda name: medians[name], default=None)
-        if best is None or plain < _FAR_OFF or medians[best] > _MUCH_BETTER * plain:
+        if best is None or plain < _FAR_OFF:
             return None
-        return f"{best} (fits the labels {plain / max(medians[best], 1e-9):.0f} times better)"
+        if medians[best] <= _MUCH_BETTER * plain:
+            return f"{best} (fits the labels {plain / max(medians[best], 1e-9):.0f} times better)"
+        return self._other_size()
+
+    def _add_products(self, joints_px: FloatArray, truth_px: FloatArray) -> None:
+        known = np.isfinite(truth_px).all(axis=-1)
+        with np.errstate(over="ignore"):  # of absurd pixels, which others complain about
+            products = [joints_px[known] ** 2, joints_px[known] * truth_px[known], truth_px[known] ** 2]
+            self.products = self.products + np.array([product.sum(axis=0) for product in products])
+
+    def _other_size(self) -> str | None:
+        """Whether the pixels are those of a larger or smaller picture, by the factors that fit the labels best."""
+        given, both, labelled = self.products
+        if not np.isfinite(self.products).all() or not (both > 0).all():
+            return None
+        factors = both / given
+        before = float((given - 2 * both + labelled).sum())
+        after = float((labelled - both * factors).sum())
+        if after > _MUCH_BETTER**2 * before or max(factors.max(), 1 / factors.min()) < _OTHER_SIZE:
+            return None
+        return (
+            f"joints_px: pixels of a picture of another size, {1 / factors[0]:.3g} times as wide and "
+            f"{1 / factors[1]:.3g} times as high as the labelled one"
+        )
 
 
 def _seen(joints_m: FloatArray, camera: PinholeCamera) -> FloatArray:

@@ -40,6 +40,8 @@ MOST_COEFFICIENTS: Final = 8
 """Distortion coefficients that `PinholeCamera` knows: OpenCV's k1, k2, p1, p2, k3 to k6."""
 MOST_SKEW: Final = 1e-6
 """Of a camera matrix, over its focal length: rounding of whoever wrote it."""
+MOST_BELOW: Final = 1e-8
+"""Of a camera matrix's last row beside its last entry, over that: rounding, which moves no pixel by a thousandth."""
 _OURS: Final = ("fx", "fy", "cx", "cy", "width", "height")
 _COLMAP: Final[Mapping[str, tuple[str, ...]]] = {
     "SIMPLE_PINHOLE": ("focal", "cx", "cy"),
@@ -354,6 +356,7 @@ def _from_matrix(value: Any, key: str) -> dict[str, float]:
     if shape not in ((3, 3), (9,)):
         raise DataFormatError(f"camera: {key}: a 3x3 matrix expected, got shape {shape}")
     matrix = np.array(values, np.float64).reshape(3, 3)
+    matrix[2, :2][abs(matrix[2, :2]) <= MOST_BELOW * abs(matrix[2, 2])] = 0
     below, beside = matrix[2, :2], matrix[:2, 2]
     if below.any() and not beside.any():
         raise DataFormatError(

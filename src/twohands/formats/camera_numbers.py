@@ -37,7 +37,9 @@ def numbers_of(value: Any, key: str, levels: int = 4) -> tuple[list[float], tupl
             raise DataFormatError(f"camera: {key}: {rows:g}x{columns:g} numbers announced, found {len(flat)}")
         return flat, (int(rows), int(columns))
     if levels and isinstance(value, list) and any(isinstance(row, list) for row in value):
-        rows = [numbers_of(row, key, levels - 1)[0] if isinstance(row, list) else [number_of(row, key)] for row in value]
+        rows = [
+            numbers_of(row, key, levels - 1)[0] if isinstance(row, list) else [number_of(row, key)] for row in value
+        ]
         lengths = {len(row) for row in rows}
         shape = (len(rows), *lengths) if len(lengths) == 1 else (sum(map(len, rows)),)
         return [number for row in rows for number in row], shape

@@ -19,7 +19,15 @@ from typing import Any, Final
 import numpy as np
 
 from twohands.errors import DataFormatError
-from twohands.lifting.foreign import ForeignFrame, ForeignHand, check_in_picture, check_picture_size, joints, numbers
+from twohands.lifting.foreign import (
+    ForeignFrame,
+    ForeignHand,
+    check_in_picture,
+    check_picture_size,
+    joints,
+    numbers,
+    share,
+)
 from twohands.skeleton import N_JOINTS, SIDES
 from twohands.types import PinholeCamera
 
@@ -59,8 +67,8 @@ def hands(record: Any, camera: PinholeCamera) -> tuple[ForeignHand, ...]:
                 side,
                 pixels,
                 joints(f"{word} canonical", said["canonical"], 3),
-                None if said.get("score") is None else float(numbers(f"{word} score", said["score"], ())),
-                None if scores is None else numbers(f"{word} joint_scores", scores, (N_JOINTS,)),
+                None if said.get("score") is None else share(f"{word} score", said["score"]),
+                None if scores is None else np.clip(numbers(f"{word} joint_scores", scores, (N_JOINTS,)), 0.0, 1.0),
             )
         )
     return tuple(found)
@@ -100,8 +108,8 @@ def frames_of_arrays(stored: Mapping[str, np.ndarray], camera: PinholeCamera) ->
                     side,
                     pixels[row, side],
                     shapes[row, side],
-                    float(score) if np.isfinite(score) else None,
-                    None if joint_scores is None else joint_scores[row, side],
+                    share(f"score, row {row}", score) if np.isfinite(score) else None,
+                    None if joint_scores is None else np.clip(joint_scores[row, side], 0.0, 1.0),
                 )
             )
         time = None if times is None or not np.isfinite(times[row]) else float(times[row])
@@ -156,8 +164,8 @@ def frames_of_csv(text: str, camera: PinholeCamera) -> tuple[ForeignFrame, ...]:
                     side,
                     pixels,
                     shape,
-                    score if np.isfinite(score) else None,
-                    scores if np.isfinite(scores).any() else None,
+                    share(f"frame {frame}: score", score) if np.isfinite(score) else None,
+                    np.clip(scores, 0.0, 1.0) if np.isfinite(scores).any() else None,
                 )
             )
         time = _number(about[frame], "time_s")
