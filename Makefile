@@ -42,7 +42,7 @@ lint: environment
 	$(BIN)/pyright
 
 environment:
-	@bash scripts/environment.sh $(VENV) synth,synth-bake,train,datasets,view,video,live,motion,remote,dev
+	@bash scripts/environment.sh $(VENV) synth,synth-bake,train,datasets,view,video,live,motion,remote,heic,dev
 
 environment-view:
 	@bash scripts/environment.sh $(VENV) view

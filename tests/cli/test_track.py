@@ -148,9 +148,13 @@ def test_a_folder(weights, tmp_path, capsys):
     for name in ("f10.png", "f9.png", "same.png", "same.jpg"):
         write_picture(folder / name)
     (folder / "f2.png").write_bytes((folder / "f9.png").read_bytes()[:500])
+    (folder / "notes.txt").touch()
+    (folder / "100APPLE").mkdir()
     out = tmp_path / "out"
     assert run_track(folder, "--out", out, "--weights", weights, "--fov", 60, "--hand-length", 10) == 0
     captured = capsys.readouterr()
+    assert "1 left out, no pictures that can be read: notes.txt" in captured.err
+    assert "1 left out, folders are not looked into: 100APPLE" in captured.err
     assert "skipped" in captured.err and "f2.png" in captured.err and "1 of 5 images skipped" in captured.err
     names = ["f9", "f10", "same_jpg", "same_png"]
     assert files_below(out) == sorted(["hands.json", *(f"{n}_{k}.png" for n in names for k in ("overlay", "views"))])
@@ -385,6 +389,19 @@ def test_without_matplotlib_the_rest_is_written_and_the_extra_named(picture, wei
     assert files_below(out) == ["hands.json", "hands_overlay.png"]
     captured = capsys.readouterr().err
     assert "twohands[view]" in captured and captured.count("\n") == 1
+
+
+def test_without_a_place_for_matplotlibs_cache_the_rest_is_written(picture, weights, tmp_path, monkeypatch, capsys):
+    """A read-only file system and a user without a home: matplotlib refuses to be imported."""
+
+    def nowhere(*args, **more):
+        raise OSError("Matplotlib requires access to a writable cache directory")
+
+    monkeypatch.setattr("twohands.visualization.views.render_views", nowhere)
+    out = tmp_path / "out"
+    assert run_track(picture, "--out", out, "--weights", weights, "--fov", 60, "--hand-length", 10) == 0
+    assert files_below(out) == ["hands.json", "hands_overlay.png"]
+    assert "no three-view figure: Matplotlib requires" in capsys.readouterr().err
 
 
 def test_demo_writes_results_of_every_example_and_says_where(weights, tmp_path, monkeypatch, capsys):

@@ -278,7 +278,10 @@ def test_pictures_are_found_by_their_content_and_the_rest_is_listed(tmp_path):
     (tmp_path / "photo.download").write_bytes(FILES["png"])
     for name in ("notes.txt", "raw.dng", "film.mov", ".hidden"):
         (tmp_path / name).write_bytes(b"something else")
+    for name in ("DCIM10", "DCIM9", ".thumbnails"):
+        (tmp_path / name).mkdir()
     content = look_through(tmp_path)
+    assert [path.name for path in content.folders] == ["DCIM9", "DCIM10"], "named, though not looked into"
     assert [path.name for path in content.pictures] == ["photo", "photo.download"]
     assert [path.name for path in content.others] == ["film.mov", "notes.txt", "raw.dng"]
 
@@ -355,6 +358,23 @@ def heic(width: int, height: int) -> bytes:
     iprp = struct.pack(">I4s", 8 + len(ipco), b"iprp") + ipco
     meta = struct.pack(">I4sI", 12 + len(iprp), b"meta", 0) + iprp
     return struct.pack(">I4s4sI4s", 20, b"ftyp", b"heic", 0, b"mif1") + meta
+
+
+@pytest.mark.parametrize("missing", [False, True])
+def test_a_heic_picture_comes_out_upright(missing, monkeypatch):
+    """Of 64x48 pixels, stored turned and mirrored (irot, imir), white above left and red at the right; or the extra is
+    named."""
+    data = (Path(__file__).parent / "files" / "turned.heic").read_bytes()
+    if missing:
+        monkeypatch.setitem(sys.modules, "pi_heif", None)
+        with pytest.raises(MissingExtraError, match="extra 'heic'"):
+            decode_image(data)
+        return
+    pytest.importorskip("pi_heif")
+    upright = np.zeros((48, 64, 3), np.uint8)
+    upright[:24, :32], upright[:, 56:] = 255, (255, 0, 0)
+    found = decode_image(data)
+    assert found.shape == upright.shape and np.abs(found.astype(int) - upright).mean() < 4
 
 
 @pytest.mark.parametrize("shape", [(48, 64), (48, 64, 2), (48, 64, 3), (48, 64, 4)])

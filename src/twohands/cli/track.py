@@ -150,7 +150,9 @@ def run(args: TrackArgs) -> int:
     matching = [] if os.path.lexists(source) else _matching(args.input)
     files = list_images(source) if folder else matching or [source]
     if folder:
-        _say_left_out(look_through(source).others)
+        content = look_through(source)
+        _say_left_out(content.others, "no pictures that can be read")
+        _say_left_out(content.folders, "folders are not looked into")
     several = folder or bool(matching)
     pictures = _readable(files, known) if several else [_open(source, 0, known)]
     name = files[0].resolve().parent.name if matching else source.resolve().name if folder else source.stem
@@ -382,11 +384,11 @@ def _cell(value: float | None, factor: float = 1.0, digits: int = 1) -> str:
     return "-" if value is None else f"{factor * value:.{digits}f}"
 
 
-def _say_left_out(others: list[Path]) -> None:
-    """Count and name the files of a folder that are no pictures."""
+def _say_left_out(others: list[Path], why: str) -> None:
+    """Count and name what a folder holds and is not used."""
     if others:
         named = ", ".join(path.name for path in others[:5]) + (", ..." if len(others) > 5 else "")
-        _say(f"{len(others)} file{'s'[: len(others) > 1]} left out, no pictures that can be read: {_printable(named)}")
+        _say(f"{len(others)} left out, {why}: {_printable(named)}")
 
 
 def _open(path: Path, index: int, known: Known) -> Picture:
@@ -425,14 +427,16 @@ def _result_names(files: list[Path]) -> list[str]:
 
 
 def _write_views(path: Path, picture: Picture, pose: TwoHandPose) -> bool:
-    """Write the three-view figure; False, and one message, where matplotlib is missing."""
+    """Write the three-view figure; False, and one message, where matplotlib is missing or finds no place for its cache:
+    a file system that is read-only, a user without a home."""
     from twohands.visualization.views import render_views
 
     try:
-        write_file(path, render_views(picture.image, pose, title=_printable(picture.path.name)))
-    except MissingExtraError as error:
+        content = render_views(picture.image, pose, title=_printable(picture.path.name))
+    except (MissingExtraError, OSError) as error:
         _say(f"no three-view figure: {error}")
         return False
+    write_file(path, content)
     return True
 
 

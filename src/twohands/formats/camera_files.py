@@ -149,6 +149,8 @@ def _record(data: bytes) -> dict[str, Any]:
         content = content[0]
     if not isinstance(content, dict):
         raise DataFormatError(f"camera: an object with keys expected, found {in_words(content)}")
+    if len(content) == 1 and plain_key(name := next(iter(content))) not in FIELD_OF_KEY | {"value0": ""}:
+        content = content[name] if isinstance(content[name], dict) else content  # under the camera's own name
     return content
 
 

@@ -49,15 +49,17 @@ _ROWS: Final = 512
 
 @dataclass(frozen=True, slots=True)
 class FolderContent:
-    """What a folder holds; hidden files and subfolders do not count.
+    """What a folder holds; what is hidden does not count.
 
     Attributes:
         pictures: by their endings or first bytes, in natural order (frame2 before frame10).
         others: the rest, in the same order; links to nowhere and pipes, too.
+        folders: in it, which are not looked into, in the same order.
     """
 
     pictures: list[Path]
     others: list[Path]
+    folders: list[Path]
 
 
 def look_through(folder: Path) -> FolderContent:
@@ -67,15 +69,19 @@ def look_through(folder: Path) -> FolderContent:
         InputError: the folder cannot be read.
     """
     try:
-        files = [path for path in folder.iterdir() if not path.name.startswith(".") and not path.is_dir()]
+        found = sorted(
+            (path for path in folder.iterdir() if not path.name.startswith(".")),
+            key=lambda path: natural_key(path.name),
+        )
+        folders = [path for path in found if path.is_dir()]
     except OSError as error:
         raise InputError(f"{folder}: cannot be read: {error.strerror}") from error
-    files.sort(key=lambda path: natural_key(path.name))
+    files = [path for path in found if path not in set(folders)]
     pictures = [
         path for path in files if path.is_file() and (path.suffix.lower() in IMAGE_SUFFIXES or _begins_as_picture(path))
     ]
     known = set(pictures)
-    return FolderContent(pictures, [path for path in files if path not in known])
+    return FolderContent(pictures, [path for path in files if path not in known], folders)
 
 
 def list_images(folder: Path) -> list[Path]:
@@ -84,10 +90,11 @@ def list_images(folder: Path) -> list[Path]:
     Raises:
         InputError: the folder cannot be read or holds no picture.
     """
-    images = look_through(folder).pictures
-    if not images:
-        raise InputError(f"{folder}: no image in this folder (looked for {', '.join(IMAGE_SUFFIXES)})")
-    return images
+    content = look_through(folder)
+    if not content.pictures:
+        within = f"; folders in it are not looked into: {content.folders[0].name}, ..." if content.folders else ""
+        raise InputError(f"{folder}: no image in this folder (looked for {', '.join(IMAGE_SUFFIXES)}){within}")
+    return content.pictures
 
 
 def read_image(path: str | Path) -> np.ndarray:
