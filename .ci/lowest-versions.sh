@@ -13,7 +13,7 @@ echo "lowest versions on $("$python" --version): $(tr '\n' ' ' < "$work/bounds.t
 "$python" -m venv "$work/venv"
 "$work/venv/bin/python" -m pip install --quiet --requirement "$work/bounds.txt" . pytest
 (cd "$work" && HOME=$work/home "$work/venv/bin/twohands" demo --out "$work/demo" > /dev/null)
-for verb in track live demo generate inspect train eval bench export lift export-motion; do
+for verb in track live demo calibrate generate inspect train eval bench export lift export-motion; do
     "$work/venv/bin/twohands" "$verb" --help > /dev/null || { echo "twohands $verb --help fails" >&2; exit 1; }
 done
 OMP_NUM_THREADS=1 "$work/venv/bin/python" -m pytest -q -p no:cacheprovider \
