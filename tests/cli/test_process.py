@@ -11,6 +11,7 @@ import warnings
 from pathlib import Path
 
 import pytest
+from tests.datasets import fakes
 from tests.oracles import write_tiny_weights
 
 from twohands.cli import process, track
@@ -181,12 +182,13 @@ def watch(event, args):
     if event.startswith(("socket.connect", "socket.getaddrinfo", "socket.gethostby", "socket.sendto", "urllib")):
         seen.append(event)
 sys.addaudithook(watch)
+import json
 from twohands.cli.main import main
-code = main(sys.argv[1:])
+for command in json.loads(sys.argv[1]):
+    print("CODE", main(command), command[0], file=sys.stderr)
 import time
 time.sleep(0.5)
 print("NETWORK", sorted(set(seen)), file=sys.stderr)
-sys.exit(code)
 """
 
 
@@ -195,21 +197,39 @@ def test_nothing_is_looked_up_and_nothing_is_left_in_the_home_folder(weights, tm
     home, temporary, out = tmp_path / "home", tmp_path / "tmp", tmp_path / "out"
     home.mkdir()
     temporary.mkdir()
-    picture = sorted(EXAMPLES.glob("*.png"))[0]
+    inputs = tmp_path / "in"
+    inputs.mkdir()
+    picture = inputs / "hands.png"
+    picture.write_bytes(sorted(EXAMPLES.glob("*.png"))[0].read_bytes())
+    fakes.write_instance(inputs / "dataset" / "0")
+    results = Path(__file__).parents[1] / "lifting" / "files" / "mediapipe_tasks.json"
+    commands = [
+        ["track", picture, "--weights", weights, "--out", out / "track"],
+        ["lift", results, "--fov", "70", "--size", "640", "480", "--out", out / "lifted.json"],
+        ["calibrate", out / "board.pdf"],
+        ["inspect", inputs / "dataset"],
+        ["eval", "predict", inputs / "dataset", "--weights", weights, "--out", out / "ours.npz"],
+        ["eval", "score", out / "ours.npz", inputs / "dataset"],
+        ["bench", picture, "--count", "1", "--weights", weights],
+        ["demo", "--help"],
+    ]
+    before = {path for path in inputs.rglob("*")}
     kept = {key: value for key, value in os.environ.items() if key not in ("CI", "XDG_CACHE_HOME", "MPLCONFIGDIR")}
     done = subprocess.run(
-        [sys.executable, "-c", WATCH, "track", str(picture), "--weights", weights, "--out", str(out)],
+        [sys.executable, "-c", WATCH, json.dumps([list(map(str, command)) for command in commands])],
         env={**kept, "HOME": str(home), "TMPDIR": str(temporary)},
         capture_output=True,
         text=True,
         cwd=tmp_path,
     )
-    assert done.returncode == 0, done.stderr
+    codes = [line.split()[1] for line in done.stderr.splitlines() if line.startswith("CODE")]
+    assert codes == ["0"] * len(commands), done.stderr
     assert "NETWORK []" in done.stderr
     left = {path.relative_to(home).parts[:2] for path in home.rglob("*") if path.is_file()}
     assert left <= {(".cache", "twohands")}
     assert not list(temporary.iterdir())
-    assert {path.name for path in tmp_path.iterdir()} <= {"home", "tmp", "out"}
+    assert {path for path in inputs.rglob("*")} == before
+    assert {path.name for path in tmp_path.iterdir()} <= {"home", "tmp", "in", "out"}
 
 
 def test_a_user_without_a_home_can_track(weights, tmp_path):
