@@ -10,6 +10,8 @@ import time
 import warnings
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 from tests.datasets import fakes
 from tests.oracles import write_tiny_weights
@@ -243,3 +245,34 @@ def test_a_user_without_a_home_can_track(weights, tmp_path):
     )
     assert done.returncode == 0 and (tmp_path / "out" / "hands.json").is_file(), done.stderr
     assert "Traceback" not in done.stderr and time.monotonic() - started < 120
+
+
+MANY = """
+import resource, sys
+from twohands.cli import track
+from twohands.cli.main import main
+track._write_views = lambda *_: True
+peaks = []
+for folder in sys.argv[2:]:
+    assert main(["track", folder, "--weights", sys.argv[1], "--out", folder + "_out", "--fov", "60"]) == 0
+    peaks.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss >> 10)
+print("PEAKS", *peaks)
+"""
+
+
+@pytest.mark.slow
+def test_two_thousand_pictures_take_no_more_memory_than_a_hundred(weights, tmp_path):
+    """But for their results, some 5 KiB each."""
+    rng = np.random.default_rng(0)
+    picture = cv2.imencode(".jpg", rng.integers(0, 256, (64, 96, 3), dtype=np.uint8))[1].tobytes()
+    folders = []
+    for count in (100, 2000):
+        folder = tmp_path / str(count)
+        folder.mkdir()
+        folders.append(str(folder))
+        for number in range(count):
+            (folder / f"{number}.jpg").write_bytes(picture)
+    done = subprocess.run([sys.executable, "-c", MANY, weights, *folders], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    few, many = map(int, done.stdout.split("PEAKS")[1].split())
+    assert many - few < 32, f"{few} MiB, then {many} MiB"

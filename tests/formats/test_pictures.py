@@ -12,7 +12,15 @@ import numpy as np
 import pytest
 
 from twohands.errors import InputError, MissingExtraError
-from twohands.formats.pictures import MAX_PIXELS, decode_image, list_images, look_through, read_image, read_pixels
+from twohands.formats.pictures import (
+    MAX_PIXELS,
+    decode_image,
+    decode_pixels,
+    list_images,
+    look_through,
+    read_image,
+    read_pixels,
+)
 
 RGB = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)
 SMOOTH = np.ascontiguousarray(
@@ -314,6 +322,7 @@ def test_a_preview_in_a_raw_file_is_not_taken_for_the_picture(tag, tmp_path):
     (tmp_path / "IMG_1.dng").write_bytes(tiff(tag))
     with pytest.raises(InputError, match=r"IMG_1\.dng: a camera's raw picture"):
         read_image(tmp_path / "IMG_1.dng")
+    assert read_pixels(tmp_path / "IMG_1.dng", cv2.IMREAD_COLOR) is None
 
 
 def test_the_raw_file_of_a_canon_is_none_that_is_cut_off():
@@ -383,6 +392,7 @@ def test_grey_and_colour_of_heic_become_rgb(shape, monkeypatch):
     pixels = np.arange(np.prod(shape), dtype=np.uint64).reshape(shape).astype(np.uint8)
     decoder = SimpleNamespace(open_heif=lambda file, convert_hdr_to_8bit: pixels)
     monkeypatch.setitem(sys.modules, "pi_heif", decoder)
+    assert np.shape(decode_pixels(heic(64, 48), cv2.IMREAD_COLOR)) == (48, 64, 3), "backgrounds are read so"
     colours = pixels.reshape(48, 64, -1)
     expected = colours[..., :3] if colours.shape[2] > 2 else colours[..., :1].repeat(3, axis=2)
     np.testing.assert_array_equal(decode_image(heic(64, 48)), expected)

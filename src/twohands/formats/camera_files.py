@@ -149,9 +149,9 @@ def _record(data: bytes) -> dict[str, Any]:
         content = content[0]
     if not isinstance(content, dict):
         raise DataFormatError(f"camera: an object with keys expected, found {in_words(content)}")
-    if len(content) == 1 and plain_key(name := next(iter(content))) not in FIELD_OF_KEY | {"value0": ""}:
-        content = content[name] if isinstance(content[name], dict) else content  # under the camera's own name
-    return content
+    ((name, only),) = content.items() if len(content) == 1 else ((None, None),)
+    named = isinstance(only, dict) and plain_key(str(name)) not in FIELD_OF_KEY  # under the camera's own name
+    return only if named else content
 
 
 def _colmap_file(text: str) -> dict[str, Any] | None:

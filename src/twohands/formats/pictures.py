@@ -183,15 +183,15 @@ def decode_pixels(data: bytes, flags: int) -> np.ndarray | None:
 
     Args:
         data: a picture file's content.
-        flags: OpenCV's, how to decode it.
+        flags: OpenCV's, how to decode it; HEIC comes out as (H, W, 3) uint8 BGR whatever they say.
     """
     kind = kind_of(data)
-    if kind is None or kind is HEIC:
+    if kind is None or (kind is TIFF and is_raw(data)):  # of a raw file there would be a preview
         return None
     try:
         check_size(data, kind)
-        return cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-    except (cv2.error, InputError):
+        return _decode_heic(data) if kind is HEIC else cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except (cv2.error, InputError, MissingExtraError):
         return None
 
 
