@@ -13,7 +13,18 @@ from pathlib import Path
 MAX_IMPORT_S = 0.5
 MAX_TRACK_S = 5.0
 MAX_MEMORY_BYTES = 1e9
-EXTRAS = ("torch", "moderngl", "bpy", "matplotlib", "anny", "safetensors", "onnx", "lightning_fabric", "starlette", "rosbags")
+EXTRAS = (
+    "torch",
+    "moderngl",
+    "bpy",
+    "matplotlib",
+    "anny",
+    "safetensors",
+    "onnx",
+    "lightning_fabric",
+    "starlette",
+    "rosbags",
+)
 REPEATS = 3
 
 
