@@ -150,9 +150,7 @@ def run(args: TrackArgs) -> int:
     matching = [] if os.path.lexists(source) else _matching(args.input)
     files = list_images(source) if folder else matching or [source]
     if folder:
-        content = look_through(source)
-        _say_left_out(content.others, "no pictures that can be read")
-        _say_left_out(content.folders, "folders are not looked into")
+        _say_left_out(source)
     several = folder or bool(matching)
     pictures = _readable(files, known) if several else [_open(source, 0, known)]
     name = files[0].resolve().parent.name if matching else source.resolve().name if folder else source.stem
@@ -384,11 +382,13 @@ def _cell(value: float | None, factor: float = 1.0, digits: int = 1) -> str:
     return "-" if value is None else f"{factor * value:.{digits}f}"
 
 
-def _say_left_out(others: list[Path], why: str) -> None:
-    """Count and name what a folder holds and is not used."""
-    if others:
-        named = ", ".join(path.name for path in others[:5]) + (", ..." if len(others) > 5 else "")
-        _say(f"{len(others)} left out, {why}: {_printable(named)}")
+def _say_left_out(folder: Path) -> None:
+    """Count and name what a folder holds beside pictures."""
+    held = look_through(folder)
+    for paths, why in ((held.others, "no pictures that can be read"), (held.folders, "folders are not looked into")):
+        if paths:
+            named = ", ".join(path.name for path in paths[:5]) + (", ..." if len(paths) > 5 else "")
+            _say(f"{len(paths)} left out, {why}: {_printable(named)}")
 
 
 def _open(path: Path, index: int, known: Known) -> Picture:
@@ -427,8 +427,7 @@ def _result_names(files: list[Path]) -> list[str]:
 
 
 def _write_views(path: Path, picture: Picture, pose: TwoHandPose) -> bool:
-    """Write the three-view figure; False, and one message, where matplotlib is missing or finds no place for its cache:
-    a file system that is read-only, a user without a home."""
+    """Write the three-view figure; False, and one message, without matplotlib, or a place for its cache."""
     from twohands.visualization.views import render_views
 
     try:
