@@ -292,6 +292,12 @@ def test_pictures_are_found_by_their_content_and_the_rest_is_listed(tmp_path):
     assert [path.name for path in content.folders] == ["DCIM9", "DCIM10"], "named, though not looked into"
     assert [path.name for path in content.pictures] == ["photo", "photo.download"]
     assert [path.name for path in content.others] == ["film.mov", "notes.txt", "raw.dng"]
+    assert content.left_out() == [
+        "3 left out, no pictures that can be read: film.mov, notes.txt, raw.dng",
+        "2 left out, folders are not looked into: DCIM9, DCIM10",
+    ]
+    many = FolderContent([], [Path(str(number)) for number in range(6)], [])
+    assert many.left_out() == ["6 left out, no pictures that can be read: 0, 1, 2, 3, 4, ..."]
 
 
 def test_links_to_nowhere_and_pipes_are_listed(tmp_path):

@@ -150,7 +150,8 @@ def run(args: TrackArgs) -> int:
     matching = [] if os.path.lexists(source) else _matching(args.input)
     files = list_images(source) if folder else matching or [source]
     if folder:
-        _say_left_out(source)
+        for line in look_through(source).left_out():
+            _say(_printable(line))
     several = folder or bool(matching)
     pictures = _readable(files, known) if several else [_open(source, 0, known)]
     name = files[0].resolve().parent.name if matching else source.resolve().name if folder else source.stem
@@ -380,15 +381,6 @@ def _printable(name: str) -> str:
 
 def _cell(value: float | None, factor: float = 1.0, digits: int = 1) -> str:
     return "-" if value is None else f"{factor * value:.{digits}f}"
-
-
-def _say_left_out(folder: Path) -> None:
-    """Count and name what a folder holds beside pictures."""
-    held = look_through(folder)
-    for paths, why in ((held.others, "no pictures that can be read"), (held.folders, "folders are not looked into")):
-        if paths:
-            named = ", ".join(path.name for path in paths[:5]) + (", ..." if len(paths) > 5 else "")
-            _say(f"{len(paths)} left out, {why}: {_printable(named)}")
 
 
 def _open(path: Path, index: int, known: Known) -> Picture:

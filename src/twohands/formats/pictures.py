@@ -61,6 +61,15 @@ class FolderContent:
     others: list[Path]
     folders: list[Path]
 
+    def left_out(self) -> list[str]:
+        """Lines that count and name what it holds beside pictures; none where that is nothing."""
+        kinds = ((self.others, "no pictures that can be read"), (self.folders, "folders are not looked into"))
+        return [
+            f"{len(paths)} left out, {why}: " + ", ".join([path.name for path in paths[:5]] + ["..."][: len(paths) > 5])
+            for paths, why in kinds
+            if paths
+        ]
+
 
 def look_through(folder: Path) -> FolderContent:
     """Finds the pictures of a folder.
