@@ -14,6 +14,7 @@ import pytest
 from twohands.errors import InputError, MissingExtraError
 from twohands.formats.pictures import (
     MAX_PIXELS,
+    FolderContent,
     decode_image,
     decode_pixels,
     list_images,
