@@ -149,9 +149,10 @@ def _record(data: bytes) -> dict[str, Any]:
         content = content[0]
     if not isinstance(content, dict):
         raise DataFormatError(f"camera: an object with keys expected, found {in_words(content)}")
-    ((name, only),) = content.items() if len(content) == 1 else ((None, None),)
-    named = isinstance(only, dict) and plain_key(str(name)) not in FIELD_OF_KEY  # under the camera's own name
-    return only if named else content
+    name, only = next(iter(content.items())) if len(content) == 1 else ("", None)
+    if isinstance(only, dict) and plain_key(name) not in FIELD_OF_KEY:  # under the camera's own name
+        return only
+    return content
 
 
 def _colmap_file(text: str) -> dict[str, Any] | None:
