@@ -73,7 +73,8 @@ export class Page {
 
   /** A line of facts beside the source's name. */
   say(facts: string): void {
-    element("facts").textContent = facts;
+    // Unchanged text that is set again would be drawn again.
+    if (element("facts").textContent !== facts) element("facts").textContent = facts;
   }
 
   /** What has gone wrong; an empty text takes it away. */
