@@ -28,6 +28,7 @@ FAST := tests/geometry tests/formats tests/lifting tests/models tests/datasets/i
 	$(addprefix tests/evaluation/test_,metrics.py comparison.py protocols.py importing.py results.py) \
 	$(addprefix tests/inference/test_,clip_files.py handedness.py keypoints.py leaving.py placement.py records.py \
 	runtime.py tracker.py views.py) \
+	tests/executors/test_base.py tests/batch/test_stores.py \
 	$(addprefix tests/live/test_,clip.py door.py messages.py) tests/visualization/test_view_page.py \
 	$(addprefix tests/motion/test_,bvh.py clip.py even_times.py fit.py openxr.py) \
 	$(addprefix tests/training/test_,losses.py schedule.py) \

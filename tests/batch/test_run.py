@@ -133,6 +133,14 @@ def test_other_settings_do_not_go_on(clips, options, tmp_path, capsys):
     assert contents(out) == there
 
 
+def test_a_folder_of_something_else_is_not_gone_on_with(clips, options, tmp_path, capsys):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "letter.txt").write_text("dear")
+    assert track(clips, "--out", tmp_path / "out", "--resume", *options) == 2
+    assert "holds no manifest.jsonl to go on with" in capsys.readouterr().err
+    assert contents(tmp_path / "out") == {"letter.txt": b"dear"}
+
+
 def test_two_workers_write_the_same_bytes(clips, weights, tmp_path):
     for workers in (1, 2):
         out = tmp_path / str(workers)

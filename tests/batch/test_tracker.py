@@ -72,7 +72,7 @@ def test_in_a_pool_of_processes(weights, tmp_path):
 @pytest.mark.slow
 def test_in_ray_data(weights, tmp_path):
     ray = pytest.importorskip("ray", reason="ray is not installed (extra 'cluster'; not part of make test)")
-    pytest.importorskip("pyarrow", reason="pyarrow, which Ray Data needs, is not installed")
+    pytest.importorskip("ray.data", reason="ray[data] is not installed", exc_type=ImportError)
     clips = write_clips(tmp_path / "clips", 3)
     options = {"out": str(tmp_path / "out"), "fov_deg": 70, "weights": weights, "overlay": False}
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")

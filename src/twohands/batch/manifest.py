@@ -76,14 +76,14 @@ class Manifest:
         self.entries: dict[str, Entry] = {}
 
     def load(self) -> None:
-        """Takes over what an earlier run has written, if there was one.
+        """Takes over what an earlier run has written.
 
         Raises:
-            InputError: it is damaged, or of other settings.
+            InputError: there is none, it is damaged, or of other settings.
         """
         content = self._store.read(self._out, MANIFEST)
         if content is None:
-            return
+            raise InputError(f"{self._out} is not empty and holds no {MANIFEST} to go on with: choose another --out")
         try:
             about, *lines = [json.loads(line) for line in content.decode().splitlines()]
             entries = [Entry(**line) for line in lines]

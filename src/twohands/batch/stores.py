@@ -88,7 +88,7 @@ class Store(Protocol):
         ...
 
     def is_empty(self, out: str) -> bool:
-        """Whether nothing is there."""
+        """Whether nothing is there, hidden files apart."""
         ...
 
 
@@ -200,7 +200,7 @@ class LocalStore:
     def is_empty(self, out: str) -> bool:
         """See `Store.is_empty`."""
         with _local_errors(out, "read"):
-            return not (os.path.lexists(out) and os.listdir(out))
+            return not (os.path.lexists(out) and any(not name.startswith(".") for name in os.listdir(out)))
 
 
 class RemoteStore:
