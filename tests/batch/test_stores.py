@@ -148,6 +148,30 @@ def test_a_manifest_is_sorted_and_says_nothing_of_the_way_there(tmp_path):
         Manifest(LocalStore(), out, "films", {"fov_deg": 71.0}).load()
 
 
+@pytest.mark.parametrize(
+    "damage",
+    [
+        b"",
+        b"\xff\xfe",
+        b"[]\n",
+        b"3\n",
+        b"{}\n",
+        b'{"version": 1}\n',
+        b'{"settings": 3}\n',
+        b"[" * 100_000,
+        b'{"settings": {}}\n{"input": "a"}\n',
+        b'{"settings": {}}\n[1]\n',
+        b'{"settings": {}}\n{"input": 1, "size": 1, "etag": "e", "status": "done", "frames": 2, "error": null}\n',
+        b'{"settings": {}}\n{"input": "a", "size": 1, "etag": "e", "status": "lost", "frames": 2, "error": null}\n',
+        b'{"settings": {}}\n{"input": "a", "size": 1, "etag": "e", "status": "done", "frames": "2", "error": null}\n',
+    ],
+)
+def test_a_damaged_manifest_is_named(damage, tmp_path):
+    (tmp_path / "manifest.jsonl").write_bytes(damage)
+    with pytest.raises(InputError, match=r"manifest\.jsonl is damaged: start anew with --overwrite"):
+        Manifest(LocalStore(), str(tmp_path), "clips", {}).load()
+
+
 def test_slow_writing_takes_a_twentieth_of_the_time(tmp_path):
     """A store that takes 1 s to write is written to every 21 s, and at the end."""
     now, written = [0.0], []

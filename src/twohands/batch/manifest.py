@@ -15,7 +15,7 @@ import json
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, get_args
 
 from twohands.batch.stores import Clip, Store, by_name
 from twohands.errors import InputError
@@ -23,6 +23,7 @@ from twohands.version import __version__
 
 MANIFEST: Final = "manifest.jsonl"
 VERSION: Final = 1
+Status = Literal["done", "failed"]
 _SHARE: Final = 0.05
 """Of the time, at most, that goes into writing the manifest while a run goes on."""
 
@@ -42,7 +43,7 @@ class Entry:
     input: str
     size: int | None
     etag: str | None
-    status: Literal["done", "failed"]
+    status: Status
     frames: int
     error: str | None = None
 
@@ -86,9 +87,9 @@ class Manifest:
             raise InputError(f"{self._out} is not empty and holds no {MANIFEST} to go on with: choose another --out")
         try:
             about, *lines = [json.loads(line) for line in content.decode().splitlines()]
-            entries = [Entry(**line) for line in lines]
+            entries = [_entry(line) for line in lines]
             there = {**about, **about["settings"]}
-        except (ValueError, TypeError, KeyError) as error:
+        except (ValueError, TypeError, KeyError, RecursionError) as error:
             raise InputError(f"{self._out}: {MANIFEST} is damaged: start anew with --overwrite") from error
         here = {**self._about, **self._about["settings"]}
         other = sorted(key for key in {*there, *here} - {"settings"} if there.get(key) != here.get(key))
@@ -119,3 +120,15 @@ class Manifest:
         lines = [self._about, *map(asdict, entries)]
         content = "".join(json.dumps(line) + "\n" for line in lines)
         self._store.write(self._out, MANIFEST, content.encode())
+
+
+def _entry(line: dict[str, Any]) -> Entry:
+    """A line of the manifest.
+
+    Raises:
+        ValueError, TypeError: it is none.
+    """
+    entry = Entry(**line)
+    if not isinstance(entry.input, str) or entry.status not in get_args(Status) or type(entry.frames) is not int:
+        raise ValueError(f"no line of a manifest: {line}")
+    return entry
