@@ -3,6 +3,8 @@
 import multiprocessing
 import os
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -89,6 +91,50 @@ class OpenerOfAnInterruptedImport:
 
     def __reduce__(self):
         return interrupted_import, ()
+
+
+PROGRAM = """
+import os, sys, time
+from twohands.executors.local import LocalProcesses
+
+def open_slow():
+    def work(index):
+        open(os.path.join(sys.argv[1], str(os.getpid())), "w").close()
+        time.sleep(600)
+    return work
+
+if __name__ == "__main__":
+    list(LocalProcesses(2).run(open_slow, range(2)))
+"""
+
+
+def _runs(pid: str) -> bool:
+    """Whether a process runs; one that has ended may be there until somebody asks what became of it."""
+    try:
+        return Path("/proc", pid, "stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="processes are looked up in /proc")
+def test_workers_of_a_killed_process_end_in_the_middle_of_their_jobs(tmp_path):
+    """Named case: a worker went on with its clip, and moved away what the resumed run was writing."""
+    (tmp_path / "program.py").write_text(PROGRAM)
+    (tmp_path / "pids").mkdir()
+    command = [sys.executable, str(tmp_path / "program.py"), str(tmp_path / "pids")]
+    process = subprocess.Popen(command)
+    try:
+        until = time.monotonic() + 600
+        while len(pids := list((tmp_path / "pids").iterdir())) < 2:
+            assert process.poll() is None and time.monotonic() < until
+            time.sleep(0.05)
+    finally:
+        process.kill()
+        process.wait()
+    until = time.monotonic() + 60
+    while any(_runs(pid.name) for pid in pids):
+        assert time.monotonic() < until
+        time.sleep(0.05)
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="no signal masks")

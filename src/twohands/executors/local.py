@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import signal
+import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -146,7 +148,8 @@ def _run_here(opener: Opener[Result], indices: Iterable[int]) -> Iterator[Result
 
 
 def _serve(pipe: Connection, opener: Opener[Any]) -> None:
-    """What a worker does until its pipe ends, with or without the process at the other end."""
+    """What a worker does until its pipe ends."""
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes; the first one ends the others
     work: Callable[[int], Any] | None = None
     with suppress(EOFError, OSError):
@@ -158,3 +161,12 @@ def _serve(pipe: Connection, opener: Opener[Any]) -> None:
             except Exception as error:
                 answer = index, None, error
             pipe.send(answer)
+
+
+def _end_with_parent() -> None:
+    """Ends the worker in the middle of its job when the process that started it is killed: a job may write files, which
+    a new run would write as well."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
