@@ -104,7 +104,7 @@ def open_slow():
     return work
 
 if __name__ == "__main__":
-    list(LocalProcesses(2).run(open_slow, range(2)))
+    list(LocalProcesses(2).run(open_slow, range(2), in_order=False))
 """
 
 
