@@ -149,6 +149,14 @@ def test_what_is_no_usable_picture_is_named(data, message):
         decode_image(data)
 
 
+def test_a_chunk_that_announces_gigabytes_is_not_decoded(monkeypatch):
+    """libpng asks for them before it looks: 4.3 GB for a file of 500 bytes, in a data set."""
+    data = bytearray(FILES["png"])
+    data[33:37] = b"\xff" * 4  # the length of the first IDAT
+    monkeypatch.setattr(cv2, "imdecode", lambda *_: pytest.fail("decoded"))
+    assert decode_pixels(bytes(data), cv2.IMREAD_UNCHANGED) is None
+
+
 def test_32_pixels_are_enough():
     assert decode_image(encoded(".png", RGB[:32, :32])).shape == (32, 32, 3)
 

@@ -151,9 +151,9 @@ def decode_image(data: bytes) -> np.ndarray:
         # IMREAD_COLOR turns a JPEG upright and drops transparency, which a BMP may call total without meaning it.
         # Of TIFF, OpenCV always applies the orientation; of AVIF never; of PNG and WebP not in every version.
         plain = kind in (JPEG, BMP)
-        pixels = decode_pixels(data, cv2.IMREAD_COLOR if plain else cv2.IMREAD_UNCHANGED)
+        pixels = _decoded(data, cv2.IMREAD_COLOR if plain else cv2.IMREAD_UNCHANGED)
         if kind is AVIF and pixels is not None and pixels.dtype == np.uint16:  # 10 or 12 bits, not scaled to 16
-            pixels = decode_pixels(data, cv2.IMREAD_COLOR)
+            pixels = _decoded(data, cv2.IMREAD_COLOR)
         if kind is AVIF and pixels is not None:
             pixels = _turned(pixels, iso_properties(data))
         if kind in (PNG, WEBP) and pixels is not None:
@@ -188,19 +188,28 @@ def check_size(data: bytes, kind: PictureKind) -> None:
 
 
 def decode_pixels(data: bytes, flags: int) -> np.ndarray | None:
-    """Pixels as OpenCV has them; None where it cannot decode them, or they would take too much memory.
+    """Pixels as OpenCV has them; None where it cannot decode them, they would take too much memory, or the file is cut
+    off: decoders ask for as much memory as each part announces.
 
     Args:
         data: a picture file's content.
         flags: OpenCV's, how to decode it; HEIC comes out as (H, W, 3) uint8 BGR whatever they say.
     """
     kind = kind_of(data)
-    if kind is None or (kind is TIFF and is_raw(data)):  # of a raw file there would be a preview
+    if kind is None or not kind.is_complete(data) or (kind is TIFF and is_raw(data)):  # of a raw file, a preview
         return None
     try:
         check_size(data, kind)
-        return _decode_heic(data) if kind is HEIC else cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-    except (cv2.error, InputError, MissingExtraError):
+        return _decode_heic(data) if kind is HEIC else _decoded(data, flags)
+    except (InputError, MissingExtraError):
+        return None
+
+
+def _decoded(data: bytes, flags: int) -> np.ndarray | None:
+    """Pixels of a complete picture as OpenCV has them; None where it cannot decode them."""
+    try:
+        return cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except cv2.error:
         return None
 
 
@@ -216,7 +225,7 @@ def read_pixels(path: Path, flags: int) -> np.ndarray | None:
         data = read_file(path, MAX_FILE_BYTES)
     except InputError:
         return None
-    return decode_pixels(data, flags) if len(data) <= MAX_FILE_BYTES and is_complete(data) else None
+    return decode_pixels(data, flags) if len(data) <= MAX_FILE_BYTES else None
 
 
 def is_complete(data: bytes) -> bool:
