@@ -385,6 +385,11 @@ FISHEYE_IN_WORDS = {
     "flags": "CALIB_FISHEYE + CALIB_FIX_SKEW",
     "notes": "Kannala-Brandt, 4 coefficients",
     "camera_name": "FishEye_front",
+    "camera": "fisheye_front",
+    "camera_id": "equidistant_0",
+    "sensor_name": "front fisheye",
+    "device": "Omnidirectional 360",
+    "comment": ["4 coefficients", "of a fisheye lens"],
 }
 
 
@@ -398,6 +403,27 @@ def test_a_fisheye_named_in_words_is_not_taken_for_a_pinhole(tmp_path, key):
     for right in ({"D": LENS, "distortion_model": "plumb_bob"}, {}):
         (tmp_path / "c.json").write_text(json.dumps(PLAIN | words | right))
         assert read_camera(tmp_path / "c.json").fx == PLAIN["fx"]
+
+
+@pytest.mark.parametrize("name", ["fisheye_front", "equidistant", "Kannala-Brandt"])
+@pytest.mark.parametrize("wrapping", [lambda named: named, lambda named: [named]], ids=["alone", "in a list"])
+def test_a_fisheye_named_by_the_key_around_it_is_not_taken_for_a_pinhole(tmp_path, name, wrapping):
+    def write(record):
+        (tmp_path / "c.json").write_text(json.dumps(wrapping({name: record})))
+        return tmp_path / "c.json"
+
+    for record in (PLAIN | {"D": LENS[:4]}, {"cam0": PLAIN | {"D": LENS[:4]}}):
+        with pytest.raises(DataFormatError, match=f"'{name}' names a lens that is no pinhole"):
+            read_camera(write(record))
+    for right in ({"D": LENS, "distortion_model": "plumb_bob"}, {}):
+        assert read_camera(write(PLAIN | right)).fx == PLAIN["fx"]
+
+
+def test_a_part_alone_in_a_file_keeps_its_meaning(tmp_path):
+    """VINS counts cx and cy from the first pixel's centre, also where size and lens stand beside them."""
+    (tmp_path / "c.json").write_text(json.dumps({"projection_parameters": PLAIN}))
+    camera = read_camera(tmp_path / "c.json")
+    assert (camera.cx, camera.cy) == (PLAIN["cx"] + 0.5, PLAIN["cy"] + 0.5)
 
 
 def test_pictures_with_lenses_of_their_own_are_several_cameras(tmp_path):

@@ -149,9 +149,6 @@ def _record(data: bytes) -> dict[str, Any]:
         content = content[0]
     if not isinstance(content, dict):
         raise DataFormatError(f"camera: an object with keys expected, found {in_words(content)}")
-    name, only = next(iter(content.items())) if len(content) == 1 else ("", None)
-    if isinstance(only, dict) and plain_key(name) not in FIELD_OF_KEY:  # under the camera's own name
-        return only
     return content
 
 
@@ -173,6 +170,11 @@ def _colmap_file(text: str) -> dict[str, Any] | None:
 def _camera(record: Mapping[str, Any]) -> PinholeCamera:
     """The camera that a record tells of."""
     found = _Found()
+    name, only = next(iter(record.items())) if len(record) == 1 else ("", None)
+    plain = plain_key(name)
+    if isinstance(only, dict) and plain not in FIELD_OF_KEY and not _holds_a_record(plain):
+        found.words[name] = name  # the camera's own, which may say what its lens is
+        record = only
     _gather(record, found, depth=0)
     for model in found.models:
         _check_model(model, found)
@@ -233,8 +235,8 @@ def _gather(record: Mapping[str, Any], found: _Found, depth: int, renamed: Mappi
             found.add(name, value, key)
         elif not NO_MATTER.fullmatch(plain):
             found.unknown.append(key)
-        elif isinstance(value, str) and LENS_IN_WORDS.fullmatch(plain):
-            found.words[key] = value
+        elif isinstance(value, str | list) and LENS_IN_WORDS.fullmatch(plain):
+            found.words[key] = str(value)
 
 
 def _gather_frames(frames: list[Any], found: _Found) -> None:

@@ -77,7 +77,8 @@ NO_MATTER: Final = re.compile(
 )
 """Keys, as in `FIELD_OF_KEY`, that say nothing about how a ray meets the picture, or say it again."""
 LENS_IN_WORDS: Final = re.compile(
-    "(?:description|comments?|notes?|title|(?:camera|cam|lens)?name|flags?.*|calibration(?:flags|method|tool)|lensname)"
+    "description|comments?|notes?|title|(?:camera|cam|lens|sensor|device)?name|camera|(?:camera)?id|sensortype|device|"
+    "flags?.*|calibration(?:flags|method|tool)"
 )
 """Keys of `NO_MATTER` whose words may say by the way what the lens is."""
 OTHER_LENSES: Final = re.compile("fisheye|equidistant|equisolid|kannala|omnidirectional|catadioptric")
