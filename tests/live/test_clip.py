@@ -109,6 +109,22 @@ def test_a_hand_at_a_taped_distance_gives_the_length_of_the_clip_that_follows():
     assert json.loads(told[FRAMES].line)["hands"]["left"]["scale_source"] == "distance"
 
 
+def test_a_measuring_given_up_with_a_hand_in_its_last_frame_says_why():
+    """Each twentieth frame shows a hand, the last one too: 8 of 150."""
+    seen, nobody = seen_hand(0.4), seen_hand(None)
+    asked = iter(range(MOST_FRAMES))
+
+    def of(*arguments, **named):
+        return (nobody if (next(asked) + 1 - MOST_FRAMES) % 20 else seen)(*arguments, **named)
+
+    clip = make_clip(of)
+    clip.measure(0.5)
+    notes = [clip.frame(IMAGE, index, index / 10).note for index in range(MOST_FRAMES)]
+    last = json.loads(notes[-1])["measured"]
+    assert (last["over"], last["frames"], last["hand_length_m"]) == (True, 8, None)
+    assert last["problem"] == "given up, one hand is seen too seldom"
+
+
 def test_a_measuring_without_a_hand_is_given_up_and_one_that_is_not_wanted_ends():
     clip = make_clip(seen_hand(None))
     clip.measure(0.5)

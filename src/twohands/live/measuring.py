@@ -62,7 +62,9 @@ class Measuring:
             problem = "two hands are seen, show one" if len(found) > 1 else "no hand is seen"
         if len(self._hands) < FRAMES:
             over = self._looked >= MOST_FRAMES
-            return Measured(self._note(f"given up, {problem}" if over and problem else problem, over), over=over)
+            if over:
+                problem = f"given up, {problem or 'one hand is seen too seldom'}"
+            return Measured(self._note(problem, over), over=over)
         return self._fitted(pose.camera, source)
 
     def _fitted(self, camera: PinholeCamera, source: IntrinsicsSource) -> Measured:
