@@ -86,13 +86,16 @@ def make_clip(estimate=estimate) -> LiveClip:
 
 
 @contextlib.contextmanager
-def serving(clip: LiveClip | None = None, camera: Any = None, **door: Any) -> Iterator[int]:
-    """A server on a free port of this machine; gives the port."""
+def serving(
+    clip: LiveClip | None = None,
+    camera: Any = None,
+    page: tuple[str, str] = ("<!doctype html>page", "default-src 'none'"),
+    **door: Any,
+) -> Iterator[int]:
+    """A server of a page and its policy on a free port of this machine; gives the port."""
     with listen("127.0.0.1", 0) as listening:
         port = listening.getsockname()[1]
-        server = LiveServer(
-            clip or make_clip(), Door(port, **door), "<!doctype html>page", "default-src 'none'", camera
-        )
+        server = LiveServer(clip or make_clip(), Door(port, **door), *page, camera)
         started = threading.Event()
         thread = threading.Thread(target=server.run, args=(listening, started.set), daemon=True)
         thread.start()

@@ -30,12 +30,14 @@ pytest.importorskip("uvicorn")
 pytest.importorskip("av")
 import av
 from playwright.sync_api import sync_playwright
+from tests.live.fakes import IMAGE, make_clip, seen_hand, serving
 
 from twohands.cli.demo import examples_folder
 from twohands.cli.main import main
 from twohands.formats.pictures import read_image
 from twohands.inference.clip_files import read_clip
 from twohands.live.messages import parse_picture
+from twohands.visualization.view_page import live_page, view_policy
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
 pytestmark = [
@@ -300,6 +302,88 @@ def test_a_taped_distance_and_the_fields_change_what_is_estimated(page):
     until(page, "!document.querySelector('#message').hidden")
     shots(page, "ended")
     assert re.match("Twohands live has ended|No answer from twohands live", page.inner_text("#message"))
+
+
+SMALL = """
+navigator.mediaDevices.getUserMedia = async () => {
+  const canvas = Object.assign(document.createElement("canvas"), { width: %d, height: %d });
+  const context = canvas.getContext("2d");
+  let turn = 0;
+  setInterval(() => { context.fillStyle = turn++ %% 2 ? "#456" : "#457"; context.fillRect(0, 0, 999, 999); }, 50);
+  return canvas.captureStream(20);
+};
+""" % IMAGE.shape[1::-1]  # noqa: UP031  braces are the script's own
+"""A webcam of pictures as small as `seen_hand` wants them."""
+
+
+@pytest.fixture
+def quick(page):
+    """The page with an estimator that takes no time and sees one hand at 40 cm; its webcam runs."""
+    config = {"camera": None, "hand_length_cm": 10, "fov_deg": None, "mirrored": False, "camera_file": False}
+    html = live_page(config | {"scale_source": "assumed", "ours": True})
+    page.add_init_script(SMALL)
+    with serving(make_clip(seen_hand(0.4)), page=(html, view_policy(live=True))) as port:
+        page.goto(f"http://127.0.0.1:{port}/")
+        page.click("#webcam")
+        until(page, "!document.querySelector('#calibrate').disabled")
+        page.click("#calibrate")
+        yield page
+    assert page.problems == []
+
+
+def test_a_recording_ends_what_is_measured_and_holds_one_clip(quick, tmp_path):
+    quick.evaluate("document.querySelector('#measure').click(); document.querySelector('#record').click()")
+    assert quick.is_disabled("#measure") and quick.is_disabled("#undo") and quick.is_hidden("#tape-says")
+    until(quick, "/[3-9]\\d frames recorded/.test(document.querySelector('#facts').textContent)")
+    assert quick.is_disabled("#measure") and quick.is_hidden("#tape-says")
+    with quick.expect_download() as download:
+        quick.click("#record")
+    header, poses = read_clip(Path(shutil.copy(download.value.path(), tmp_path / "hands.jsonl")))
+    assert header["hand_length_m"] == 0.1 and len(list(poses)) >= 30
+
+
+def test_a_clip_that_begins_under_a_recording_is_another_file(quick, tmp_path):
+    """As another page of this machine's camera may begin one; here the length is changed behind the page's back."""
+    quick.click("#record")
+    until(quick, "/[1-9] frames recorded/.test(document.querySelector('#facts').textContent)")
+    for length_m, act in (
+        (0.1, "const field = document.querySelector('#length'); field.value = 12; field.onchange()"),
+        (0.12, "document.querySelector('#record').click()"),
+    ):
+        until(quick, "/[1-9] frames recorded/.test(document.querySelector('#facts').textContent)")
+        with quick.expect_download() as download:
+            quick.evaluate(act)
+        header, poses = read_clip(Path(shutil.copy(download.value.path(), tmp_path / f"{length_m}.jsonl")))
+        assert header["hand_length_m"] == length_m and len(list(poses)) > 0
+
+
+def test_a_hand_is_measured_again_after_a_recording_and_in_another_clip(quick):
+    def measured() -> None:
+        quick.click("#measure")
+        until(quick, "/^Hand length/.test(document.querySelector('#tape-text').textContent)")
+        until(quick, "!document.querySelector('#record').disabled")
+
+    measured()
+    quick.click("#record")
+    assert quick.is_disabled("#measure")
+    quick.click("#record")
+    measured()
+    quick.click("#stop")
+    assert quick.is_disabled("#measure")
+    quick.click("#webcam")
+    until(quick, "!document.querySelector('#measure').disabled")
+    measured()
+
+
+@pytest.mark.parametrize(
+    ("field", "change"), [("length", "value = 12"), ("fov", "value = 70"), ("mirrored", "checked = true")]
+)
+def test_a_change_while_a_hand_is_measured_frees_the_panel(quick, field, change):
+    """Both in one task, so that no frame comes between."""
+    changed = f"const field = document.querySelector('#{field}'); field.{change}; field.onchange()"
+    quick.evaluate(f"document.querySelector('#measure').click(); {changed}")
+    until(quick, "!document.querySelector('#measure').disabled")
+    assert quick.is_enabled("#distance") and quick.is_hidden("#tape-says")
 
 
 def test_a_dropped_video_is_tracked(page, tmp_path):

@@ -132,10 +132,14 @@ class Live {
     this.lastHeader = text;
     this.arrivals = [];
     this.delays = [];
-    if (this.record !== null) this.record.push(this.lastHeader);
+    if (this.record !== null) {
+      // A file has one header: each clip has its own.
+      if (this.record.length > 1) save(this.record);
+      this.record = [text];
+    }
     this.page.begin(header);
     element<HTMLButtonElement>("record").disabled = false;
-    if (this.record === null) this.tape.enable(true);
+    this.tape.enable(this.record === null);
     if (this.config.camera_file) {
       const { fx, cx, width } = header.camera;
       const degrees = (180 / Math.PI) * (Math.atan(cx / fx) + Math.atan((width - cx) / fx));
@@ -183,7 +187,11 @@ class Live {
     const source = this.config.camera ?? this.source?.name;
     if (source === undefined || !this.stream?.open) return;
     const settings = this.settings(source);
-    if (settings !== null) this.stream.begin(settings);
+    if (settings === null) return;
+    // Until the new clip is there: what is asked now would be of the old one.
+    this.tape.enable(false);
+    element<HTMLButtonElement>("record").disabled = true;
+    this.stream.begin(settings);
   }
 
   /** The server has begun a new clip already when there is a result. */
@@ -273,17 +281,17 @@ class Live {
     this.source = null;
     this.sent = [];
     this.answered?.();
-    this.stream?.end();
     if (this.record !== null) this.toggleRecord();
+    this.tape.enable(false);
+    this.stream?.end();
     element<HTMLButtonElement>("stop").disabled = true;
     element<HTMLButtonElement>("record").disabled = true;
-    this.tape.enable(false);
   }
 
   private toggleRecord(): void {
     const button = element<HTMLButtonElement>("record");
     const recording = this.record === null;
-    if (this.record !== null) save(`${this.record.join("\n")}\n`, "hands.jsonl");
+    if (this.record !== null) save(this.record);
     this.record = recording ? [this.lastHeader] : null;
     button.classList.toggle("on", recording);
     button.textContent = recording ? "Stop and save" : "Record";
@@ -323,8 +331,8 @@ class Live {
   }
 }
 
-function save(text: string, name: string): void {
-  const url = URL.createObjectURL(new Blob([text], { type: "application/x-ndjson" }));
-  Object.assign(document.createElement("a"), { href: url, download: name }).click();
+function save(lines: string[]): void {
+  const url = URL.createObjectURL(new Blob([`${lines.join("\n")}\n`], { type: "application/x-ndjson" }));
+  Object.assign(document.createElement("a"), { href: url, download: "hands.jsonl" }).click();
   setTimeout(() => URL.revokeObjectURL(url), 10_000);
 }

@@ -17,6 +17,7 @@ export function tapeHtml(): string {
 export class TapePanel {
   private readonly opener = element<HTMLButtonElement>("calibrate");
   private readonly form = element<HTMLFormElement>("tape");
+  private measuring = false;
 
   /**
    * @param measure is called with metres, and with null to stop.
@@ -40,17 +41,16 @@ export class TapePanel {
     };
   }
 
-  /** Whether there is a clip in which a hand can be measured. */
+  /** Whether there is a clip in which a hand can be measured, and another one may begin; what measures now ends. */
   enable(on: boolean): void {
     this.opener.disabled = !on;
-    if (on) return;
-    this.busy(false);
-    element<HTMLButtonElement>("measure").disabled = true;
-    if (!element("taken").hidden) element("tape-says").hidden = true;
+    element<HTMLButtonElement>("undo").disabled = !on;
+    this.stop();
   }
 
-  /** One more frame without an end yet, or the end without a result. */
+  /** One more frame without an end yet, or the end without a result; nothing where one on its way is of no use. */
   progress(said: Measured): void {
+    if (!this.measuring) return;
     this.busy(!said.over);
     const count = `${said.frames} of ${said.of} frames`;
     this.say(said.problem === null ? count : `${count}: ${said.problem}`, said.frames / said.of, said.over);
@@ -65,14 +65,21 @@ export class TapePanel {
   private toggle(): void {
     this.form.hidden = !this.form.hidden;
     this.opener.setAttribute("aria-expanded", `${!this.form.hidden}`);
-    if (this.form.hidden) {
+    if (this.form.hidden) this.stop();
+    else element("distance").focus();
+  }
+
+  private stop(): void {
+    if (this.measuring) {
       this.measure(null);
-      this.busy(false);
-    } else element("distance").focus();
+      element("tape-says").hidden = true;
+    }
+    this.busy(false);
   }
 
   private busy(on: boolean): void {
-    element<HTMLButtonElement>("measure").disabled = on;
+    this.measuring = on;
+    element<HTMLButtonElement>("measure").disabled = on || this.opener.disabled;
     element<HTMLInputElement>("distance").disabled = on;
   }
 
