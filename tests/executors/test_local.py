@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from twohands.errors import InputError, TwoHandsError
+from twohands.executors import local
 from twohands.executors.local import LocalProcesses
 
 BIG = 20_000_000
@@ -135,6 +136,45 @@ def test_workers_of_a_killed_process_end_in_the_middle_of_their_jobs(tmp_path):
     while any(_runs(pid.name) for pid in pids):
         assert time.monotonic() < until
         time.sleep(0.05)
+
+
+def open_tidy():
+    """Waits until it is told to leave, and removes its file then."""
+
+    def work(index):
+        path = Path(os.environ["TWOHANDS_TEST_MARK"], str(index))
+        path.touch()
+        try:
+            time.sleep(600)
+        finally:
+            path.unlink()
+
+    return work
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="processes are told nothing before they end")
+def test_busy_workers_are_let_go_together_and_clean_up(tmp_path, monkeypatch):
+    """Named case: Ctrl-C waited 5 s for each of N busy workers, and left downloads and half-written folders."""
+    monkeypatch.setattr(local, "GRACE_S", 3.0)
+    monkeypatch.setenv("TWOHANDS_TEST_MARK", str(tmp_path))
+
+    def indices():
+        """Interrupts once all four are busy: three hold a number more, the fourth is about to get one."""
+        yield from range(7)
+        until = time.monotonic() + 60
+        while len(list(tmp_path.iterdir())) < 4:
+            assert time.monotonic() < until
+            time.sleep(0.05)
+        interrupted_s.append(time.monotonic())
+        raise KeyboardInterrupt
+
+    interrupted_s: list[float] = []
+    before = set(multiprocessing.active_children())
+    with pytest.raises(KeyboardInterrupt):
+        list(LocalProcesses(4).run(open_tidy, indices()))
+    assert time.monotonic() - interrupted_s[0] < 4 * local.GRACE_S
+    assert set(multiprocessing.active_children()) == before
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="no signal masks")

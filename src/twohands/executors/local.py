@@ -5,7 +5,9 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import sys
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -13,7 +15,8 @@ from dataclasses import dataclass
 from itertools import islice
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
-from multiprocessing.context import SpawnContext
+from multiprocessing.context import SpawnContext, SpawnProcess
+from types import FrameType
 from typing import Any
 
 from twohands.errors import InputError, TwoHandsError
@@ -21,6 +24,8 @@ from twohands.executors.base import AHEAD, Opener, Result
 
 JOBS = 2
 """Jobs of a worker at a time, where results come in order: the one it does and the next."""
+GRACE_S = 5.0
+"""Seconds that workers have, all together, to finish their jobs; then again to leave them, when they are told to."""
 
 
 @dataclass(frozen=True)
@@ -52,10 +57,7 @@ class LocalProcesses:
         try:
             yield from _share_out(crew, indices, in_order)
         finally:
-            for worker in crew:
-                worker.pipe.close()  # it finishes its job and goes
-            for worker in crew:
-                worker.process.join(timeout=5)
+            _dismiss(crew)
 
 
 class _Worker:
@@ -81,6 +83,20 @@ class _Worker:
             answer = self.pipe.recv()
         self.jobs -= 1
         return answer
+
+
+def _dismiss(crew: Sequence[_Worker]) -> None:
+    """Ends workers: they may finish a short job, leave a long one and clean up after it, and are killed else."""
+    for worker in crew:
+        worker.pipe.close()
+    for end in (None, SpawnProcess.terminate, SpawnProcess.kill):
+        staying = [worker.process for worker in crew if worker.process.is_alive()]
+        if end is not None:
+            for process in staying:
+                end(process)
+        until = time.monotonic() + GRACE_S
+        for process in staying:
+            process.join(max(0.0, until - time.monotonic()))
 
 
 @contextmanager
@@ -151,6 +167,7 @@ def _serve(pipe: Connection, opener: Opener[Any]) -> None:
     """What a worker does until its pipe ends."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes; the first one ends the others
+    signal.signal(signal.SIGTERM, _leave)
     work: Callable[[int], Any] | None = None
     with suppress(EOFError, OSError):
         while True:
@@ -161,6 +178,12 @@ def _serve(pipe: Connection, opener: Opener[Any]) -> None:
             except Exception as error:
                 answer = index, None, error
             pipe.send(answer)
+
+
+def _leave(number: int, frame: FrameType | None) -> None:
+    """Ends a worker through its context managers, which remove what is half done."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # once is enough
+    sys.exit(128 + number)
 
 
 def _end_with_parent() -> None:
