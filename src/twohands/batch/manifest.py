@@ -129,6 +129,12 @@ def _entry(line: dict[str, Any]) -> Entry:
         ValueError, TypeError: it is none.
     """
     entry = Entry(**line)
-    if not isinstance(entry.input, str) or entry.status not in get_args(Status) or type(entry.frames) is not int:
+    told = (entry.size, int), (entry.etag, str), (entry.error, str)
+    if (
+        not isinstance(entry.input, str)
+        or entry.status not in get_args(Status)
+        or type(entry.frames) is not int
+        or any(value is not None and type(value) is not kind for value, kind in told)
+    ):
         raise ValueError(f"no line of a manifest: {line}")
     return entry
