@@ -141,6 +141,17 @@ def test_a_folder_of_something_else_is_not_gone_on_with(clips, options, tmp_path
     assert contents(tmp_path / "out") == {"letter.txt": b"dear"}
 
 
+def test_a_folder_of_strangers_is_not_replaced(clips, options, tmp_path, capsys):
+    """Named case: a run into a folder of something else deleted what had a clip's name."""
+    out = tmp_path / "out"
+    (out / "clip0.mp4").mkdir(parents=True)
+    (out / "clip0.mp4" / "letter.txt").write_text("dear")
+    assert track(clips, "--out", out, "--overwrite", *options) == 2
+    captured = capsys.readouterr()
+    assert "holds something else than a clip's results" in captured.err and captured.err.count("\n") == 1
+    assert contents(out / "clip0.mp4") == {"letter.txt": b"dear"}
+
+
 def test_two_workers_write_the_same_bytes(clips, weights, tmp_path):
     for workers in (1, 2):
         out = tmp_path / str(workers)

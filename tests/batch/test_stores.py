@@ -19,8 +19,9 @@ pytest.importorskip("fsspec", reason="fsspec is not installed (extra 'remote')")
 from tests.batch.clips import contents, write_clips
 from tests.oracles import write_tiny_weights
 
+from twohands.batch import ClipTracker
 from twohands.batch.manifest import Entry, Manifest
-from twohands.batch.stores import Clip, LocalStore, RemoteStore, is_remote, list_clips
+from twohands.batch.stores import Clip, LocalStore, RemoteStore, is_remote, list_clips, store_of
 from twohands.cli.main import main
 from twohands.errors import InputError
 
@@ -109,22 +110,136 @@ def test_listings_of_a_bucket(memory):
 
 def test_a_local_folder_is_delivered_whole_and_replaces_the_old_one(tmp_path):
     store, out = LocalStore(), str(tmp_path / "out")
-    for content in ("old", "new"):
+    for file in ("hands.csv", "hands.npz"):
         with store.staging(out, "day1/a.mp4") as folder:
-            (folder / content).write_text(content)
-            assert not (tmp_path / "out" / "day1" / "a.mp4" / content).exists()
+            (folder / file).write_text("new")
+            assert not (tmp_path / "out" / "day1" / "a.mp4" / file).exists()
             store.deliver(folder, out, "day1/a.mp4")
-    assert contents(tmp_path / "out") == {"day1/a.mp4/new": b"new"}
+    assert contents(tmp_path / "out") == {"day1/a.mp4/hands.npz": b"new"}
     assert [path.name for path in (tmp_path / "out" / "day1").iterdir()] == ["a.mp4"]
 
 
 def test_a_remote_folder_replaces_the_old_one(memory, tmp_path):
     store = RemoteStore("memory://out")
-    for content in ("old", "new"):
+    for file in ("hands.csv", "hands.npz"):
         with store.staging("memory://out", "day1/a.mp4") as folder:
-            (folder / content).write_text(content)
+            (folder / file).write_text("new")
             store.deliver(folder, "memory://out", "day1/a.mp4")
-    assert remote_contents(memory, "memory://out") == {"day1/a.mp4/new": b"new"}
+    assert remote_contents(memory, "memory://out") == {"day1/a.mp4/hands.npz": b"new"}
+
+
+@pytest.fixture(params=["path", "file", "memory"])
+def somewhere(request, memory, tmp_path) -> str:
+    """An output, of every kind of store."""
+    return {"path": str(tmp_path), "file": tmp_path.as_uri(), "memory": "memory://out"}[request.param]
+
+
+def deliver(out: str, name: str, file: str = "hands.csv") -> None:
+    store = store_of(out)
+    with store.staging(out, name) as folder:
+        (folder / file).write_text("new")
+        store.deliver(folder, out, name)
+
+
+def put(out: str, name: str, content: bytes = b"old") -> None:
+    folder, _, file = f"{out}/{name}".rpartition("/")
+    store_of(out).write(folder, file, content)
+
+
+def test_results_never_replace_what_is_not_ours(somewhere):
+    """Named case: a clip in a bucket was deleted to make room for its results; so were folders of strangers."""
+    put(somewhere, "film.mp4")
+    put(somewhere, "letters.mp4/dear.txt")
+    put(somewhere, "letters.mp4/hands.csv")
+    for name in ("film.mp4", "letters.mp4"):
+        with pytest.raises(InputError, match="holds something else than a clip's results"):
+            deliver(somewhere, name)
+        store_of(somewhere).discard(somewhere, name)
+    for name in ("film.mp4", "letters.mp4/dear.txt", "letters.mp4/hands.csv"):
+        assert store_of(somewhere).read(somewhere, name) == b"old", name
+
+
+@pytest.mark.parametrize("name", ["take[12].mp4", "take?.mp4", "take*.mp4"])
+def test_a_name_with_signs_of_a_pattern_is_a_name(name, somewhere):
+    """Named case: delivering take[12].mp4 deleted the results of take1.mp4 and take2.mp4."""
+    store = store_of(somewhere)
+    for neighbour in ("take1.mp4", "take2.mp4"):
+        put(somewhere, f"{neighbour}/hands.csv")
+    put(somewhere, f"{name}/hands.npz")
+    deliver(somewhere, name)
+    assert store.read(somewhere, f"{name}/hands.npz") is None
+    assert store.read(somewhere, f"{name}/hands.csv") == b"new"
+    store.discard(somewhere, name)
+    assert store.read(somewhere, f"{name}/hands.csv") is None
+    for neighbour in ("take1.mp4", "take2.mp4"):
+        assert store.read(somewhere, f"{neighbour}/hands.csv") == b"old"
+    put(somewhere, "films/take1.mp4")
+    put(somewhere, f"films/{name}")
+    assert [clip.name for clip in list_clips(f"{somewhere}/films/{name}").clips] == [name]
+
+
+def test_a_name_as_long_as_names_can_be(somewhere):
+    """Named case: a name of more than 246 bytes ended the run."""
+    name = "a" * 251 + ".mp4"
+    deliver(somewhere, name)
+    assert store_of(somewhere).read(somewhere, f"{name}/hands.csv") == b"new"
+
+
+def test_a_place_has_one_name(memory, tmp_path):
+    """Named case: an output that was the folder of the clips by another name was accepted."""
+    (tmp_path / "clips").mkdir()
+    (tmp_path / "link").symlink_to("clips")
+    names = [str(tmp_path / "clips"), f"{tmp_path}//link/", (tmp_path / "clips").as_uri(), f"local://{tmp_path}/link"]
+    assert len({store_of(name).canonical(name) for name in names}) == 1
+    names = ["memory://b", "memory:///b", "memory://b/"]
+    assert len({store_of(name).canonical(name) for name in names}) == 1
+    assert store_of("memory://b").canonical("memory://b") != store_of("memory://c").canonical("memory://c")
+
+
+def test_a_pattern_in_the_name_of_a_bucket_is_refused(memory):
+    """Named case: it was taken for a folder of the file system itself."""
+    memory.pipe_file("memory://bucket/a.mp4", b"1234")
+    for place in ("memory://buck*/a.mp4", "memory:///buck?t/a.mp4", "memory://*"):
+        with pytest.raises(InputError, match="a pattern may stand below a bucket, not in its name"):
+            list_clips(place)
+
+
+def test_the_bucket_of_the_clips_is_no_output_by_any_name(memory, weights, tmp_path, capsys):
+    """Named case: memory://b2 and memory:///b2 are one, and the run deleted its clips."""
+    for path in write_clips(tmp_path / "clips", 1).iterdir():
+        memory.pipe_file(f"memory://b2/{path.name}", path.read_bytes())
+    (tmp_path / "link").symlink_to("clips")
+    here = contents(tmp_path / "clips")
+    for place, out in (
+        ("memory://b2", "memory:///b2"),
+        (tmp_path / "clips", (tmp_path / "clips").as_uri()),
+        (tmp_path / "clips", tmp_path / "link"),
+    ):
+        assert track(place, "--out", out, "--overwrite", "--weights", weights, "--workers", 1) == 2
+        captured = capsys.readouterr()
+        assert "is the folder of the clips" in captured.err and captured.err.count("\n") == 1
+    assert remote_contents(memory, "memory://b2") == here == contents(tmp_path / "clips")
+
+
+def test_a_tracker_does_not_replace_its_clip(memory, weights, tmp_path):
+    """Named case: ClipTracker("memory://bkt")("memory://bkt/real.mp4") deleted real.mp4."""
+    (path,) = write_clips(tmp_path / "clips", 1).iterdir()
+    memory.pipe_file("memory://bkt/real.mp4", path.read_bytes())
+    with pytest.raises(InputError, match="its results would replace the clip"):
+        ClipTracker("memory:///bkt", weights=weights)("memory://bkt/real.mp4")
+    assert memory.cat_file("memory://bkt/real.mp4") == path.read_bytes()
+
+
+def test_a_clip_that_fails_has_no_results(memory, weights, tmp_path):
+    """Named case: results of what the clip was before stayed beside its failure."""
+    (path,) = write_clips(tmp_path / "clips", 1).iterdir()
+    for out in (str(tmp_path / "out"), (tmp_path / "uri").as_uri(), "memory://out"):
+        tracker, clip = ClipTracker(out, weights=weights, fov_deg=70, overlay=False), tmp_path / path.name
+        clip.write_bytes(path.read_bytes())
+        assert tracker(str(clip))["status"] == "done"
+        clip.write_bytes(b"no video")
+        assert tracker(str(clip))["status"] == "failed"
+        assert store_of(out).is_empty(out), out
 
 
 def test_a_manifest_is_sorted_and_says_nothing_of_the_way_there(tmp_path):
@@ -164,6 +279,11 @@ def test_a_manifest_is_sorted_and_says_nothing_of_the_way_there(tmp_path):
         b'{"settings": {}}\n{"input": 1, "size": 1, "etag": "e", "status": "done", "frames": 2, "error": null}\n',
         b'{"settings": {}}\n{"input": "a", "size": 1, "etag": "e", "status": "lost", "frames": 2, "error": null}\n',
         b'{"settings": {}}\n{"input": "a", "size": 1, "etag": "e", "status": "done", "frames": "2", "error": null}\n',
+        b'{"settings": {}}\n{"input": [], "size": 1, "etag": "e", "status": "done", "frames": 2, "error": null}\n',
+        b'{"settings": {}}\n{"input": "a", "size": "1", "etag": "e", "status": "done", "frames": 2, "error": null}\n',
+        b'{"settings": {}}\n{"input": "a", "size": 1, "etag": [], "status": "done", "frames": 2, "error": null}\n',
+        b'{"settings": {}}\n{"input": "a", "size": 1, "etag": "e", "status": [], "frames": 2, "error": null}\n',
+        b'{"settings": {}}\n{"input": "a", "size": 1, "etag": "e", "status": "failed", "frames": 0, "error": 3}\n',
     ],
 )
 def test_a_damaged_manifest_is_named(damage, tmp_path):

@@ -16,7 +16,7 @@ import numpy as np
 from twohands.errors import InputError
 from twohands.formats.profiles import IntrinsicsSource, ScaleSource
 from twohands.inference.background import Behind, ahead
-from twohands.inference.clip_files import JSONL, ClipFiles
+from twohands.inference.clip_files import CSV, JSONL, NPZ, ClipFiles
 from twohands.inference.decision import DecisionConfig
 from twohands.inference.frames import CameraFrames, Frame, VideoFrames
 from twohands.inference.look_ahead import LookAhead
@@ -27,9 +27,11 @@ from twohands.inference.video import VideoEstimator
 from twohands.types import PinholeCamera, TwoHandPose
 from twohands.visualization.live import draw_live
 from twohands.visualization.movie import Movie
-from twohands.visualization.view_page import ClipReport
+from twohands.visualization.view_page import REPORT, ClipReport
 
 OVERLAY: Final = "overlay.mp4"
+RESULTS: Final = frozenset((JSONL, NPZ, CSV, OVERLAY, REPORT))
+"""Names of all files that `write_clip` writes."""
 
 Estimate = Callable[..., TwoHandPose]
 """`HandEstimator.estimate` or its like: (image, camera, hand length, index=, time_s=, previous=) -> pose."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import glob
+import hashlib
 import os
 import shutil
 import tempfile
@@ -16,8 +17,9 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, Final, Protocol
 
+from twohands.batch.clip import RESULTS
 from twohands.errors import InputError, MissingExtraError
-from twohands.files import partial_path, write_whole
+from twohands.files import write_whole
 from twohands.formats.pictures import natural_key
 from twohands.inference.frames import VIDEO_SUFFIXES
 
@@ -76,7 +78,15 @@ class Store(Protocol):
         ...
 
     def deliver(self, folder: Path, out: str, name: str) -> None:
-        """Gives a staged folder its place; an old one there is replaced."""
+        """Gives a staged folder its place; an old one of a clip's results is replaced, anything else is refused."""
+        ...
+
+    def discard(self, out: str, name: str) -> None:
+        """Removes a clip's results; anything else that is in their place stays."""
+        ...
+
+    def canonical(self, place: str) -> str:
+        """The one name of a place that has several; places of different stores compare as well."""
         ...
 
     def read(self, out: str, name: str) -> bytes | None:
@@ -167,7 +177,8 @@ class LocalStore:
     @contextlib.contextmanager
     def staging(self, out: str, name: str) -> Iterator[Path]:
         """See `Store.staging`: beside its place."""
-        folder = partial_path(Path(out, name))
+        place = Path(out, name)  # whose name may be as long as names can be
+        folder = place.with_name(f".{hashlib.sha256(os.fsencode(place.name)).hexdigest()[:16]}.partial")
         shutil.rmtree(folder, ignore_errors=True)
         with _local_errors(str(folder), "written"):
             folder.mkdir(parents=True)
@@ -181,9 +192,22 @@ class LocalStore:
         place = Path(out, name)
         with _local_errors(str(place), "written"):
             place.parent.mkdir(parents=True, exist_ok=True)
-            if place.is_dir():
+            if os.path.lexists(place):
+                if not _holds_results(place):
+                    raise _foreign(str(place))
                 shutil.rmtree(place)
             os.replace(folder, place)
+
+    def discard(self, out: str, name: str) -> None:
+        """See `Store.discard`."""
+        place = Path(out, name)
+        with _local_errors(str(place), "removed"):
+            if _holds_results(place):
+                shutil.rmtree(place)
+
+    def canonical(self, place: str) -> str:
+        """See `Store.canonical`."""
+        return os.path.realpath(place)
 
     def read(self, out: str, name: str) -> bytes | None:
         """See `Store.read`."""
@@ -227,15 +251,16 @@ class RemoteStore:
         place = place.rstrip("/")
         with _remote_errors(place, "listed"):
             self._fs.invalidate_cache()  # of what was there before
-            if has_magic(place):
-                root = _split(place)[0]
-                found = list(self._fs.glob(self._path(place), detail=True).values())
+            path = self._path(place)
+            if self._fs.isfile(path):
+                root, found = place.rpartition("/")[0], [self._fs.info(path)]
+            elif has_magic(place) and not self._fs.isdir(path):
+                root = _split_address(place)
+                found = list(self._fs.glob(path, detail=True).values())
                 if not found:
                     self._fs.ls(self._path(root), detail=False)  # says if there is no such bucket
-            elif self._fs.isfile(self._path(place)):
-                root, found = place.rpartition("/")[0], [self._fs.info(self._path(place))]
             else:
-                root, found = place, self._fs.ls(self._path(place), detail=True)
+                root, found = place, self._fs.ls(path, detail=True)
             start = len(self._path(root).rstrip("/")) + 1
             return root, [_remote_clip(info, start) for info in found if info.get("type") == "file"]
 
@@ -258,11 +283,31 @@ class RemoteStore:
         """See `Store.deliver`: file by file; the manifest tells which clips are whole."""
         place = self._path(join(out, name))
         with _remote_errors(join(out, name), "written"):
-            if self._fs.exists(place):
-                self._fs.rm(place, recursive=True)
+            old = self._results(place)
+            if old is None:
+                raise _foreign(join(out, name))
+            self._remove(old)
             self._make_folder(place)
             for path in sorted(folder.iterdir()):
                 self._fs.put_file(str(path), join(place, path.name))
+
+    def discard(self, out: str, name: str) -> None:
+        """See `Store.discard`."""
+        place = self._path(join(out, name))
+        with _remote_errors(join(out, name), "removed"):
+            old = self._results(place)
+            if old:
+                self._remove(old)
+                if place.startswith("/") and self._fs.isdir(place):  # see `_make_folder`
+                    self._fs.rmdir(place)
+
+    def canonical(self, place: str) -> str:
+        """See `Store.canonical`."""
+        path, names = self._path(place), self._fs.protocol
+        scheme = names if isinstance(names, str) else names[0]
+        if scheme == "file":
+            return os.path.realpath(path)
+        return f"{scheme}://{getattr(self._fs, 'host', '')}/{path.lstrip('/')}"
 
     def read(self, out: str, name: str) -> bytes | None:
         """See `Store.read`."""
@@ -286,6 +331,19 @@ class RemoteStore:
     def _path(self, place: str) -> str:
         return str(self._fs._strip_protocol(place))
 
+    def _results(self, path: str) -> list[str] | None:
+        """Files of a clip's results; none where nothing is, None where it is something else."""
+        self._fs.invalidate_cache()
+        if self._fs.isfile(path):
+            return None
+        found = [str(each) for each in self._fs.find(path)]
+        return found if all(each.removeprefix(f"{path}/") in RESULTS for each in found) else None
+
+    def _remove(self, paths: list[str]) -> None:
+        """One by one: `rm` takes * ? [ in a name for a pattern."""
+        for path in paths:
+            self._fs.rm_file(path)
+
     def _make_folder(self, path: str) -> None:
         """Where a file system has folders. Buckets have none: a bucket would be made, which is not ours to do."""
         if path.startswith("/"):
@@ -298,6 +356,27 @@ def _split(place: str) -> tuple[str, str]:
     first = next(i for i, part in enumerate(parts) if has_magic(part))
     root = "/".join(parts[:first])
     return root or ("/" if first else ""), "/".join(parts[first:])
+
+
+def _split_address(place: str) -> str:
+    """The folders of a remote pattern before the first sign of one.
+
+    Raises:
+        InputError: the bucket is a pattern.
+    """
+    scheme, _, path = place.partition("://")
+    if has_magic(path.lstrip("/").partition("/")[0]):
+        raise InputError(f"{place}: a pattern may stand below a bucket, not in its name")
+    return f"{scheme}://{_split(path)[0]}"
+
+
+def _holds_results(place: Path) -> bool:
+    """Whether it is a folder of this machine with a clip's results and nothing else."""
+    return place.is_dir() and not place.is_symlink() and set(os.listdir(place)) <= RESULTS
+
+
+def _foreign(place: str) -> InputError:
+    return InputError(f"{place}: holds something else than a clip's results: move it away, or choose another output")
 
 
 def _local_clip(root: str, path: str) -> Clip:

@@ -122,19 +122,23 @@ class ClipTracker:
         """
         name = clip.name if name is None else name
         estimator = self.check()
-        store = store_of(self.out)
+        store, source = store_of(self.out), store_of(root)
+        place = store.canonical(join(self.out, name))
+        if f"{source.canonical(join(root, clip.name))}/".startswith(f"{place}/"):
+            raise InputError(f"{join(self.out, name)}: its results would replace the clip: choose another output")
         with store.staging(self.out, name) as folder:
             try:
-                with store_of(root).fetched(root, clip.name) as path:
+                with source.fetched(root, clip.name) as path:
                     said, frames = self._write(path, name, folder, estimator)
             except TwoHandsError as error:
-                return Entry(name, clip.size, clip.etag, "failed", 0, str(error))
+                said, frames = str(error), 0
             except OSError as error:
                 raise InputError(f"{self.out}: cannot be written: {error.strerror or error}") from error
-            if not frames:
-                return Entry(name, clip.size, clip.etag, "failed", 0, said or "not one frame in it")
-            store.deliver(folder, self.out, name)
-        return Entry(name, clip.size, clip.etag, "done", frames, said)
+            if frames:
+                store.deliver(folder, self.out, name)
+                return Entry(name, clip.size, clip.etag, "done", frames, said)
+        store.discard(self.out, name)
+        return Entry(name, clip.size, clip.etag, "failed", 0, said or "not one frame in it")
 
     def check(self) -> HandEstimator:
         """Loads what is needed; returns the networks.

@@ -11,7 +11,7 @@ from typing import Final, Literal
 
 from twohands.batch.manifest import MANIFEST, Entry
 from twohands.batch.run import Existing, environment, track_clips
-from twohands.batch.stores import Listing, has_magic, is_remote, join, list_clips
+from twohands.batch.stores import Listing, has_magic, is_remote, join, list_clips, store_of
 from twohands.batch.tracker import ClipTracker
 from twohands.cli.progress import progress_of
 from twohands.cli.track_clip import say
@@ -159,10 +159,13 @@ def _without(listing: Listing, out: str) -> Listing:
     Raises:
         InputError: the output is the folder of the clips, or nothing is left.
     """
-    out = out.rstrip("/")
-    if out == listing.root.rstrip("/"):
+    source, place = store_of(listing.root), store_of(out).canonical(out)
+    if place == source.canonical(listing.root):
         raise InputError(f"output {out} is the folder of the clips; choose another --out")
-    kept = tuple(clip for clip in listing.clips if not join(listing.root, clip.name).startswith(f"{out}/"))
+    below = join(place, "")
+    kept = tuple(
+        clip for clip in listing.clips if not source.canonical(join(listing.root, clip.name)).startswith(below)
+    )
     if not kept:
         raise InputError(f"{listing.root}: no clips but those below the output {out}")
     return replace(listing, clips=kept)
