@@ -84,14 +84,16 @@ def test_a_hand_that_leaves_and_hands_in_one_place_are_not_followed():
 
 
 def test_masks_go_with_the_hands():
+    """Wider all round by a thirtieth of the hand's size, at least by a cell of four pixels: the left one by two."""
     masks = np.zeros((80, 80), np.uint8)
     masks[20:40, 20:40], masks[60:72, 4:16] = 1, 2
     joints_px = np.stack([np.full((21, 2), 30.0), np.full((21, 2), 66.0)])
+    joints_px[0, 0] += 240
     left, right = (HandPose(True, 0.9, joints_px=joints) for joints in joints_px)
     seen = TwoHandPose(left, right, SAMPLE.camera, masks)
     moved = moved_masks(Trail.of(seen), joints_px + np.array([[[16.0, 8.0]], [[0.0, 0.0]]]))
     expected = np.zeros((20, 20), np.uint8)
-    expected[5:14, 7:16], expected[13:20, 0:6] = 1, 2  # two cells of four pixels wider all round
+    expected[5:14, 7:16], expected[14:19, 0:5] = 1, 2
     np.testing.assert_array_equal(moved, expected)
     assert not moved_masks(Trail.of(replace(seen, masks=None)), joints_px).any()
 

@@ -28,8 +28,9 @@ REST_FRAMES: Final = 1
 journal.md, *Hands followed without segmentation*)."""
 _COARSE: Final = 4
 """Masks of followed hands have a cell for so many pixels a side."""
-_WIDER: Final = 2
-"""Cells by which they are wider: 1 and 4 are worse (docs/history/journal.md, *Hands followed without segmentation*)."""
+_WIDER: Final = 1 / 30
+"""By which share of the hand's size they are wider all round: twice and half of it are worse for large hands, a fixed
+width for small ones (docs/history/journal.md, *Segmentation at rest, queue and look-ahead*)."""
 
 
 def followed_hands(finder: HandFinder, trail: Trail, time: float) -> Detection | None:
@@ -122,12 +123,12 @@ def moved_masks(trail: Trail, expected_px: np.ndarray) -> np.ndarray:
     if trail.seen.masks is None:
         return np.zeros((1, 1), np.uint8)
     before = np.ascontiguousarray(trail.seen.masks[::_COARSE, ::_COARSE])
-    size, around = (before.shape[1], before.shape[0]), np.ones((2 * _WIDER + 1, 2 * _WIDER + 1), np.uint8)
-    masks = np.zeros_like(before)
+    size, masks = (before.shape[1], before.shape[0]), np.zeros_like(before)
     for side, hand in enumerate(trail.seen.hands):
         joints = _joints(hand)
         if np.isfinite(joints).all() and np.isfinite(expected_px[side]).all():
-            wide = cv2.dilate((before == 1 + side).astype(np.uint8), around)
+            cells = max(1, round(_WIDER * float(np.ptp(joints, axis=0).max()) / _COARSE))
+            wide = cv2.dilate((before == 1 + side).astype(np.uint8), np.ones((2 * cells + 1, 2 * cells + 1), np.uint8))
             place = similarity(joints / _COARSE, expected_px[side] / _COARSE)
             masks[cv2.warpAffine(wide, place, size, flags=cv2.INTER_NEAREST) > 0] = 1 + side
     return masks
