@@ -123,28 +123,30 @@ class LastLook:
 
 
 def assign_handedness(evidence: Evidence, config: DecisionConfig) -> Assignment:
-    """Which candidate is which hand, before `rescore`: the most probable answer."""
+    """Which candidate is which hand, before `rescore`."""
     return best_answer(answer_scores(first_features(evidence), weight_vector(config.first, FIRST_FEATURES)))
 
 
 def best_answer(scores: np.ndarray) -> Assignment:
-    """The most probable of all answers, from their scores (7,)."""
+    """The answer that is expected to be right of the most sides, from the scores (7,) of all: several answers may agree
+    that a hand is there, each less probable than that none is (minimum Bayes risk)."""
     chances, sources = probabilities(scores), np.array(ANSWERS)
-    best = sources[int(np.argmax(scores))]
-    logits = log_odds(np.array([chances[sources[:, side] == best[side]].sum() for side in (LEFT, RIGHT)]))
-    return Assignment(best, np.where(best >= 0, logits, np.nan))
+    alike = sources[:, None] == sources  # (answer, truth, side)
+    agreed = np.einsum("atf,t->af", alike, chances)
+    best = int(np.argmax(np.where(np.isfinite(scores), agreed.sum(axis=1), -np.inf)))
+    return Assignment(sources[best], np.where(sources[best] >= 0, log_odds(agreed[best]), np.nan))
 
 
 def rescore(look: LastLook, config: DecisionConfig) -> tuple[np.ndarray, np.ndarray]:
     """Which of the hands of an assignment are hands, after the last view of them.
 
     Returns:
-        (2,) bool, the most probable answer, and (2,) log-odds of either hand; NaN for one that was absent before.
+        (2,) bool, which hands are rather there than not, and (2,) their log-odds; NaN for one that was absent before.
     """
     chances = probabilities(answer_scores(last_features(look), weight_vector(config.last, LAST_FEATURES)))
     kept = np.array(KEPT)
     logits = log_odds(np.array([chances[kept[:, side]].sum() for side in (LEFT, RIGHT)]))
-    return kept[int(np.argmax(chances))], np.where(look.source >= 0, logits, np.nan)
+    return (look.source >= 0) & (logits > 0), np.where(look.source >= 0, logits, np.nan)
 
 
 def weight_vector(weights: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
