@@ -55,7 +55,7 @@ def test_arguments_that_cannot_be_parsed_are_exit_2(arguments, capsys):
 @pytest.mark.parametrize("verb", VERBS)
 def test_every_verb_keeps_the_contract_and_has_help(verb, capsys):
     try:
-        module = importlib.import_module(f"twohands.cli.{verb}")
+        module = importlib.import_module(f"twohands.cli.{verb.replace('-', '_')}")
     except ModuleNotFoundError as error:
         assert error.name in main_module._EXTRA_OF_MODULE, error
         pytest.skip(f"needs {error.name}")
