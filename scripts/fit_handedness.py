@@ -120,13 +120,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Fits a preset's decision which hands are there, and whose.")
     parser.add_argument("preset", type=Path, help="weights folder; its card is written")
     parser.add_argument("--judges", nargs="*", default=[], help="weights folders or presets: see above")
-    parser.add_argument("--frames", type=Path, nargs="*", default=[], help="folders of cached frames")
-    parser.add_argument("--count", type=int, default=1000, help="of pictures of every folder, at most")
-    parser.add_argument("--digits", type=Path, help="folder of photographed digits")
-    parser.add_argument("--digits-count", type=int, default=150)
-    parser.add_argument("--backgrounds", type=Path, nargs="*", default=[], help="folders of photographs and panoramas")
-    parser.add_argument("--photographs", type=int, default=100, help="backgrounds without hands, at most")
-    parser.add_argument("--seed", type=int, default=1)
+    add_picture_options(parser, count=1000, digits=150, photographs=100)
     parser.add_argument("--cache", type=Path, required=True, help="file of evidence; read where it is there")
     parser.add_argument("--dry-run", action="store_true", help="leave the card alone")
     options = parser.parse_args()
@@ -177,6 +171,17 @@ def gathered(options: argparse.Namespace, identity: str) -> list[Seen]:
             save(options.cache, found, identity)
             print(f"{scene + 1} of {len(plan)} scenes", file=sys.stderr, flush=True)
     return found
+
+
+def add_picture_options(parser: argparse.ArgumentParser, *, count: int, digits: int, photographs: int) -> None:
+    """What `planned` reads, with how many pictures of each kind there are at most."""
+    parser.add_argument("--frames", type=Path, nargs="*", default=[], help="folders of cached frames")
+    parser.add_argument("--count", type=int, default=count, help="of pictures of every folder, at most")
+    parser.add_argument("--digits", type=Path, help="folder of photographed digits")
+    parser.add_argument("--digits-count", type=int, default=digits)
+    parser.add_argument("--backgrounds", type=Path, nargs="*", default=[], help="folders of photographs and panoramas")
+    parser.add_argument("--photographs", type=int, default=photographs, help="backgrounds without hands, at most")
+    parser.add_argument("--seed", type=int, default=1)
 
 
 def planned(options: argparse.Namespace) -> list[tuple[str, Callable[[], HandSample]]]:

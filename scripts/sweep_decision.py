@@ -20,7 +20,7 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
-from scripts.fit_handedness import COLUMNS, SAVED_EVERY, counted, outcome_of, planned
+from scripts.fit_handedness import COLUMNS, SAVED_EVERY, add_picture_options, counted, outcome_of, planned
 
 from twohands.errors import InputError, TwoHandsError
 from twohands.files import write_whole
@@ -41,13 +41,7 @@ def main() -> int:
     """Reads the options, looks, and writes the table."""
     parser = argparse.ArgumentParser(description="Changes every number of the decision alone and counts errors.")
     parser.add_argument("preset", help="weights folder or preset")
-    parser.add_argument("--frames", type=Path, nargs="*", default=[], help="folders of cached frames")
-    parser.add_argument("--count", type=int, default=60, help="of pictures of every folder, at most")
-    parser.add_argument("--digits", type=Path, help="folder of photographed digits")
-    parser.add_argument("--digits-count", type=int, default=60)
-    parser.add_argument("--backgrounds", type=Path, nargs="*", default=[], help="folders of photographs and panoramas")
-    parser.add_argument("--photographs", type=int, default=60, help="backgrounds without hands, at most")
-    parser.add_argument("--seed", type=int, default=1)
+    add_picture_options(parser, count=60, digits=60, photographs=60)
     parser.add_argument("--out", type=Path, required=True, help="markdown file")
     options = parser.parse_args()
     try:

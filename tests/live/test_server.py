@@ -45,14 +45,20 @@ def get(port: int, path: str = "/", **headers: str):
     return urllib.request.urlopen(request, timeout=WAIT_S)
 
 
+def documented(code: str, port: int) -> threading.Thread:
+    """A client of docs/stream.md, running against this port."""
+    program = compile(code.replace("127.0.0.1:8765", f"127.0.0.1:{port}"), "docs/stream.md", "exec")
+    client = threading.Thread(target=exec, args=(program, {}))
+    client.start()
+    return client
+
+
 def test_the_documented_client_in_python(capsys):
     """It prints a fingertip, and ends when the server does."""
     code = re.search(r"### Python\n\n```python\n(.*?)```", DOCS.read_text(encoding="utf-8"), re.DOTALL)
     assert code is not None
     with serving() as port:
-        program = compile(code[1].replace("127.0.0.1:8765", f"127.0.0.1:{port}"), "docs/stream.md", "exec")
-        reader = threading.Thread(target=exec, args=(program, {}))
-        reader.start()
+        reader = documented(code[1], port)
         with join(port) as sender:
             sender.send(BEGIN)
             for index in range(200):  # until it listens
@@ -102,9 +108,7 @@ def test_the_documented_client_for_ros(monkeypatch):
     code = re.search(r"### ROS 2, rclpy\n.*?```python\n(.*?)```", DOCS.read_text(encoding="utf-8"), re.DOTALL)
     assert code is not None
     with serving() as port:
-        program = compile(code[1].replace("127.0.0.1:8765", f"127.0.0.1:{port}"), "docs/stream.md", "exec")
-        reader = threading.Thread(target=exec, args=(program, {}))
-        reader.start()
+        reader = documented(code[1], port)
         with join(port) as sender:
             sender.send(BEGIN)
             for index in range(200):  # until it listens

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import os
-import platform
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Literal
 
@@ -18,6 +16,7 @@ from twohands.batch.tracker import ClipTracker
 from twohands.errors import InputError
 from twohands.executors.base import Executor
 from twohands.files import locked
+from twohands.version import made_with
 
 Existing = Literal["refuse", "resume", "replace"]
 """What to do where the place of the results holds something: refuse, go on with a run of the same settings, or replace
@@ -96,13 +95,7 @@ def open_tracker(tracker: ClipTracker, root: str, clips: Sequence[Clip]) -> Call
 
 def environment() -> dict[str, str]:
     """Versions of everything that the bytes of results depend on."""
-    found = {"python": platform.python_version(), "platform": f"{platform.system()} {platform.machine()}"}
-    for name in _PACKAGES:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "not installed"
-    return found
+    return made_with(_PACKAGES)
 
 
 @contextmanager

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import json
-import platform
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 from twohands.errors import InputError
 from twohands.files import locked, partial_path, write_whole
 from twohands.formats.instance_index import MANIFEST_FILE
-from twohands.version import __version__
+from twohands.version import __version__, made_with
 
 MADE_WITH = "made_with"
 """Key of the manifest that lists the environments that have written to the folder; all others must not change."""
@@ -27,13 +25,7 @@ def environment(renderer: str | None = None) -> dict[str, str]:
     Args:
         renderer: `render.choice.renderer_version`.
     """
-    found = {"python": platform.python_version(), "platform": f"{platform.system()} {platform.machine()}"}
-    for name in _PACKAGES:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "not installed"
-    return found | ({"renderer": renderer} if renderer else {})
+    return made_with(_PACKAGES) | ({"renderer": renderer} if renderer else {})
 
 
 @contextmanager
