@@ -52,7 +52,10 @@ class Player {
     };
     plot.onpointermove = (event) => event.buttons > 0 && seekTo(event);
     document.addEventListener("keydown", (event) => this.key(event));
-    if (film !== null) film.onseeked = () => this.paint();
+    if (film !== null) {
+      film.onseeked = () => this.paint();
+      this.follow(film);
+    }
   }
 
   seek(index: number): void {
@@ -72,10 +75,7 @@ class Player {
     this.clock = { since: performance.now(), from: time(this.frames[this.at]!) };
     element("play").textContent = "Pause";
     if (this.film === null) this.tick();
-    else {
-      void this.film.play();
-      this.follow(this.film);
-    }
+    else void this.film.play();
   }
 
   private pause(): void {
@@ -91,12 +91,17 @@ class Player {
     requestAnimationFrame(() => this.tick());
   }
 
-  /** With a film: what it shows. */
+  /**
+   * With a film: what it shows. A seek ends, on a busy machine, before the picture sought is there to be drawn; then it
+   * is drawn over once it is.
+   */
   private follow(film: HTMLVideoElement): void {
     film.requestVideoFrameCallback((_, about) => {
-      if (this.clock === null) return;
-      this.moveTo(this.start + about.mediaTime + 0.002);
       this.follow(film);
+      if (film.seeking) return; // what is shown is not yet what is sought
+      const shown = this.start + about.mediaTime + 0.002;
+      if (this.clock !== null) this.moveTo(shown);
+      else if (this.indexAt(shown) === this.at) this.paint();
     });
     film.onended = () => this.clock !== null && this.moveTo(Infinity); // its last pictures may not have been seen
   }
