@@ -395,7 +395,7 @@ def s3(tmp_path_factory) -> Iterator[object]:
         command = [sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", str(port)]
         server = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         try:
-            until = time.monotonic() + 120
+            until = time.monotonic() + 600
             while True:
                 try:
                     socket.create_connection(("127.0.0.1", port), timeout=1).close()

@@ -10,7 +10,7 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 
 def output_of(*arguments: object) -> str:
-    result = subprocess.run([sys.executable, *map(str, arguments)], capture_output=True, text=True, timeout=120)
+    result = subprocess.run([sys.executable, *map(str, arguments)], capture_output=True, text=True, timeout=600)
     assert result.returncode == 0, result.stderr
     return result.stdout
 

@@ -187,7 +187,7 @@ def test_ctrl_c_says_how_to_go_on(tmp_path):
     import os
 
     os.killpg(run.pid, signal.SIGINT)
-    _, errors = run.communicate(timeout=60)
+    _, errors = run.communicate(timeout=600)
     assert run.returncode == 130
     assert errors.splitlines()[-1] == "twohands: interrupted" and "Traceback" not in errors
     assert "run the same command again" in errors

@@ -95,12 +95,12 @@ def test_a_camera_of_this_machine_from_its_capture_to_a_client(tmp_path, monkeyp
     server = threading.Thread(target=lambda: ended.append(live.run(arguments)))
     server.start()
     try:
-        address = addresses.get(timeout=60).replace("http:", "ws:")
-        with websockets.connect(f"{address}stream?pictures=1", open_timeout=60) as client:
-            header, picture = client.recv(timeout=60), ""
+        address = addresses.get(timeout=300).replace("http:", "ws:")
+        with websockets.connect(f"{address}stream?pictures=1", open_timeout=300) as client:
+            header, picture = client.recv(timeout=300), ""
             while isinstance(picture, str):  # those of frames before we came are not sent
-                picture = client.recv(timeout=60)
-            line = client.recv(timeout=60)
+                picture = client.recv(timeout=300)
+            line = client.recv(timeout=300)
             assert json.loads(header)["source"] == "camera:0" and json.loads(header)["mirrored"] is True
             assert json.loads(header)["camera"]["width"] == 160 and "index" in json.loads(line)
             shown = cv2.imdecode(np.frombuffer(picture[16:], np.uint8), cv2.IMREAD_COLOR)
@@ -110,5 +110,5 @@ def test_a_camera_of_this_machine_from_its_capture_to_a_client(tmp_path, monkeyp
                 header = next(text for text in iter(client.recv, None) if isinstance(text, str) and "version" in text)
     finally:
         unplugged.set()
-        server.join(60)
+        server.join(300)
     assert ended == [0]

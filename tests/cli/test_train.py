@@ -64,7 +64,7 @@ def test_synthetic_data_with_workers_and_validation(tmp_path):
     pytest.importorskip("moderngl")
     words = ["--data", "synthetic", "--workers", "2", "--batch", "2", "--iterations", "2", "--max-minutes", "0"]
     run = ["train", "hand_seg_net", "--out", str(tmp_path / "run"), *words, "--set", "data.validation=2", *SETTINGS]
-    done = subprocess.run([sys.executable, "-m", "twohands", *run], capture_output=True, text=True, timeout=120)
+    done = subprocess.run([sys.executable, "-m", "twohands", *run], capture_output=True, text=True, timeout=600)
     assert done.returncode == 0, done.stderr
     assert "2 held out" in done.stdout and "miou" in done.stdout
 

@@ -112,7 +112,7 @@ class Workshop:
         temporary = work / "tmp"
         temporary.mkdir()
         out, errors = io.StringIO(), io.StringIO()
-        started = time.process_time()
+        started, peak_before = time.process_time(), _peak_bytes()
         with contextlib.ExitStack() as stack:
             stack.enter_context(mock.patch.object(tempfile, "tempdir", str(temporary)))
             stack.enter_context(mock.patch.object(track, "_write_views", lambda *_: True))
@@ -138,9 +138,14 @@ class Workshop:
             return f"left behind: {sorted(map(str, left | set(hidden)))}"
         if (seconds := time.process_time() - started) > MOST_SECONDS:
             return f"{seconds:.1f} s"
-        if (peak := resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024) > MOST_BYTES:
+        if (peak := _peak_bytes()) > max(MOST_BYTES, peak_before):  # other tests of this process may have needed more
             return f"{peak >> 20} MiB"
         return None
+
+
+def _peak_bytes() -> int:
+    """The most memory that this process has held so far."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
 def _files(folder: Path) -> set[Path]:

@@ -7,7 +7,7 @@ import pytest
 from tests.oracles import write_tiny_weights
 
 OPEN = """
-import os, signal, sys, time
+import os, signal, sys, threading, time
 from pathlib import Path
 from threading import Thread
 import numpy as np
@@ -17,6 +17,13 @@ from twohands.inference.weights import read_card
 folder = Path(sys.argv[1])
 def opened():
     return load_networks(folder, read_card(folder))
+def at_rest():
+    own, threads = str(threading.get_native_id()), Path("/proc/self/task")
+    stats = [task / "stat" for task in threads.iterdir() if task.name != own] if threads.exists() else []
+    try:
+        return all(stat.read_text().rpartition(")")[2].split()[0] == "S" for stat in stats)
+    except OSError:  # a thread has ended meanwhile
+        return False
 def answer(networks):
     return networks.hand_seg_net(np.zeros((1, 3, 32, 64), np.float32))[0].sum()
 """
@@ -29,7 +36,7 @@ def tiny(tmp_path_factory):
 
 def output_of(script, folder):
     command = [sys.executable, "-c", OPEN + script, str(folder)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60)
+    return subprocess.run(command, capture_output=True, text=True, timeout=600)
 
 
 @pytest.mark.parametrize(
@@ -55,13 +62,16 @@ def test_a_forked_process_opens_networks_of_its_own(tiny, parent):
     """Its parent's threads are not there, whether they serve or wait for another network.
 
     They must be at rest: a thread on its way to sleep may hold a lock, which nobody opens in the child (2 of 240 such
-    children hung on a busy machine, of 840 after half a second none).
+    children hung on a busy machine, of 840 after half a second none). Where /proc says what threads do it is asked.
     """
     script = f"""
 before = opened()
 expected = answer(before)
 {parent}
-time.sleep(0.5)
+quiet = 0
+while quiet < 5:
+    time.sleep(0.1)
+    quiet = quiet + 1 if at_rest() else 0
 child = os.fork()
 if not child:
     os._exit(int(answer(opened()) != expected))

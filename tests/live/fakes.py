@@ -100,11 +100,11 @@ def serving(
         thread = threading.Thread(target=server.run, args=(listening, started.set), daemon=True)
         thread.start()
         try:
-            assert started.wait(30)
+            assert started.wait(300)
             yield port
         finally:
             server.stop()
-            thread.join(30)
+            thread.join(300)
 
 
 def picture(time_s: float, image: np.ndarray = IMAGE) -> bytes:

@@ -124,7 +124,7 @@ def live(*arguments: str):
         assert found is not None, process.stderr and process.stderr.read()
         yield found[0]
         process.send_signal(signal.SIGINT)
-        assert process.wait(60) == 0
+        assert process.wait(PATIENCE_MS / 1000) == 0
         assert "Traceback" not in (process.stderr.read() if process.stderr else "")
     finally:
         process.kill()
@@ -352,7 +352,7 @@ def quick(page):
 def test_a_recording_ends_what_is_measured_and_holds_one_clip(quick, tmp_path):
     quick.evaluate("document.querySelector('#measure').click(); document.querySelector('#record').click()")
     assert quick.is_disabled("#measure") and quick.is_disabled("#undo") and quick.is_hidden("#tape-says")
-    until(quick, "/[3-9]\\d frames recorded/.test(document.querySelector('#facts').textContent)")
+    until(quick, "/(\\d\\d|[3-9])\\d frames recorded/.test(document.querySelector('#facts').textContent)")
     assert quick.is_disabled("#measure") and quick.is_hidden("#tape-says")
     with quick.expect_download() as download:
         quick.click("#record")

@@ -32,7 +32,7 @@ def received(motion) -> list[list[tuple[str, list]]]:
     """Messages of each bundle that comes, when a motion is sent."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listening:
         listening.bind(("127.0.0.1", 0))
-        listening.settimeout(30)
+        listening.settimeout(300)
         sender = VmcSender("127.0.0.1", listening.getsockname()[1])
         bundles = []
         for pose in poses_of(motion):

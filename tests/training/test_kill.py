@@ -55,7 +55,7 @@ def test_killed_and_resumed_equals_undisturbed(tmp_path):
         kill_after_some_steps(killed, rng)
     for folder in (killed, whole):
         run = start(folder)
-        assert run.communicate(timeout=120)[1] is not None and run.returncode == 0
+        assert run.communicate(timeout=6000)[1] is not None and run.returncode == 0
     for name in ("state", "pose_net_2d", "pose_net_3d"):
         a, b = (load_tensors(folder / f"{name}.safetensors")[0] for folder in (killed, whole))
         assert a.keys() == b.keys()
@@ -73,7 +73,7 @@ def test_killed_before_the_first_step(tmp_path):
     run.communicate()
     assert (folder / "state.safetensors").is_file()
     resumed = start(folder)
-    errors = resumed.communicate(timeout=120)[1]
+    errors = resumed.communicate(timeout=6000)[1]
     assert resumed.returncode == 0, errors
 
 
@@ -84,7 +84,7 @@ def test_a_request_to_end_that_reaches_the_workers_too_ends_the_run_after_the_st
     while run.poll() is None and steps_done(folder) < 2:
         time.sleep(0.005)
     os.killpg(run.pid, signal.SIGTERM)
-    errors = run.communicate(timeout=60)[1]
+    errors = run.communicate(timeout=600)[1]
     assert errors.rstrip().endswith("KeyboardInterrupt") and "DataLoader worker" not in errors
     state = json.loads(load_tensors(folder / "state.safetensors")[1]["state"])
     assert state["iteration"] == steps_done(folder)
