@@ -6,7 +6,7 @@ Camera frame: x right, y down, z forward, metres. Pixels: (u, v), (0, 0) is the 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -248,6 +248,8 @@ class TwoHandPose:
         left, right: the person's own hands in an unmirrored image.
         camera: intrinsics that were used.
         masks: (H, W) uint8, 0 background, 1 left, 2 right; not exported.
+        crop_masks: the same with 3 perhaps left, 4 perhaps right, by which hands are cropped; for the next frame of a
+            video, not exported.
         index, time_s: position in the source.
         followed: whether the hands were looked for only where those of the frame before should be; not exported.
     """
@@ -259,11 +261,16 @@ class TwoHandPose:
     index: int = 0
     time_s: float | None = None
     followed: bool = False
+    crop_masks: np.ndarray | None = field(default=None, repr=False)
 
     @property
     def hands(self) -> tuple[HandPose, HandPose]:
         """(LEFT, RIGHT)."""
         return self.left, self.right
+
+    def without_masks(self) -> TwoHandPose:
+        """The same with no masks, for who keeps many."""
+        return replace(self, masks=None, crop_masks=None)
 
     @property
     def between_hands_m(self) -> np.ndarray | None:

@@ -34,9 +34,10 @@ def is_left(hand: HandPose, shift=(0.0, 0.0)) -> bool:
 
 
 def test_exchanging_twice_changes_nothing_and_masks_follow():
-    pose = pose_of(0)
+    pose = replace(pose_of(0), crop_masks=np.arange(5, dtype=np.uint8)[None])
     once = with_sides_exchanged(pose)
     assert once.left is pose.right and once.masks is not None and once.masks.tolist() == [[0, 2, 1]]
+    assert once.crop_masks is not None and once.crop_masks.tolist() == [[0, 2, 1, 4, 3]]
     assert with_sides_exchanged(once).left is pose.left
 
 

@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
@@ -142,7 +142,7 @@ def write_clip(
                 camera, writer = fitted, _open_writer(stack, job, fitted, frames.rate, take_line)
             waiting.append(image)
             for known in [pose] if smoother is None else smoother.push(pose):
-                writer.put((waiting.popleft(), replace(known, masks=None)))
+                writer.put((waiting.popleft(), known.without_masks()))
             tally.frames += 1
             for side, hand in enumerate(pose.hands):
                 tally.found[side] += hand.present
@@ -150,7 +150,7 @@ def write_clip(
                 progress(tally.frames)
         if smoother is not None and writer is not None:
             for known in smoother.finish():
-                writer.put((waiting.popleft(), replace(known, masks=None)))
+                writer.put((waiting.popleft(), known.without_masks()))
     tally.side_changes, tally.rested, tally.seconds = video.side_changes, video.rested, time.monotonic() - started
     return tally
 

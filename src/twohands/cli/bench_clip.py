@@ -13,7 +13,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -218,7 +218,7 @@ def _one_by_one(
                 known = {"index": shown.index, "time_s": shown.time_s, "previous": trail}
                 return timed(shown.image, camera, DEFAULT_HAND_LENGTH_M, **known)
 
-            pose = replace(update(estimate), masks=None)
+            pose = update(estimate).without_masks()
             if peer is not None:
                 begun = time.perf_counter()
                 peer.detect(shown.image)

@@ -15,7 +15,7 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -332,7 +332,7 @@ def track_pictures(
                     raise
                 _say(f"skipped {picture.path}: {error}")
                 continue
-            poses.append(replace(pose, masks=None))  # before its drawings, for which the disk may be too small
+            poses.append(pose.without_masks())  # before its drawings, for which the disk may be too small
             name = names[picture.index]
             write_file(out / f"{name}_overlay.png", _png(draw_overlay(picture.image, pose)))
             if with_views:

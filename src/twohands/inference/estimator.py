@@ -90,8 +90,8 @@ class HandEstimator:
         if found is None:
             found = self.find_hands(finder, *self.segment(image, truth), truth, trail)
         left, right = self.place_hands(finder, found, hand_length_m, truth)
-        masks = None if found.followed else certain_masks(found.masks)
-        return TwoHandPose(left, right, camera, masks, index, time_s, followed=found.followed)
+        masks, crop_masks = (None, None) if found.followed else (certain_masks(found.masks), found.masks)
+        return TwoHandPose(left, right, camera, masks, index, time_s, found.followed, crop_masks)
 
     def segment(self, image: np.ndarray, truth: StageTruth = NO_TRUTH) -> tuple[np.ndarray, HandBoxes]:
         """Stage 1: masks (H, W), and boxes of the candidates."""

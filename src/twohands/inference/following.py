@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from twohands.geometry.boxes import box_iou
-from twohands.geometry.segmentation import HandBoxes, log_odds
+from twohands.geometry.segmentation import UNCERTAIN, HandBoxes, log_odds
 from twohands.inference.detection import Detection, HandFinder
 from twohands.inference.handedness import Assignment
 from twohands.inference.keypoints import in_sight, joint_boxes
@@ -26,11 +26,11 @@ from twohands.types import HandPose, TwoHandPose
 REST_FRAMES: Final = 1
 """For so many frames in a row HandSegNet may rest: the older the masks, the worse PoseNet2D's crops (docs/history/
 journal.md, *Hands followed without segmentation*)."""
-_COARSE: Final = 4
-"""Masks of followed hands have a cell for so many pixels a side."""
-_WIDER: Final = 1 / 30
-"""By which share of the hand's size they are wider all round: twice and half of it are worse for large hands, a fixed
-width for small ones (docs/history/journal.md, *Segmentation at rest, queue and look-ahead*)."""
+FARTHEST: Final = 0.08
+"""How far, as a share of the hand's size, its joints may lie on average from where they were expected; farther, and
+HandSegNet looks (docs/history/journal.md, *What segmentation at rest cost*)."""
+_MOST_CELLS: Final = 960
+"""Masks of followed hands have at most so many cells along the longer side of the picture."""
 
 
 def followed_hands(finder: HandFinder, trail: Trail, time: float) -> Detection | None:
@@ -42,8 +42,8 @@ def followed_hands(finder: HandFinder, trail: Trail, time: float) -> Detection |
         time: of the frame, on the clip's clock: `TwoHandPose.time_s`, or `index` where that is None.
 
     Returns:
-        None where HandSegNet is to look: no hand can be followed (`followed_boxes`), or one is less likely a hand than
-        none, by the card's last decision.
+        None where HandSegNet is to look: no hand can be followed (`followed_boxes`), one is less likely a hand than
+        none, by the card's last decision, or it is not where it was expected (`FARTHEST`).
     """
     finder, expected_px = replace(finder, keep_masks=True), expected_joints(trail, time)
     boxes = followed_boxes(trail, expected_px, finder.size, finder.card)
@@ -52,6 +52,9 @@ def followed_hands(finder: HandFinder, trail: Trail, time: float) -> Detection |
     masks = moved_masks(trail, expected_px)
     crops = finder.crops(masks, boxes.boxes_px, np.flatnonzero(boxes.present))
     found = finder.recropped(Detection(masks, boxes, finder.stages.keypoints(crops)))
+    sides = found.keypoints.sides
+    if (strayed(expected_px[sides], found.keypoints.joints_px) > FARTHEST).any():
+        return None
     found = finder.rescored(found, followed_assignment(trail, boxes.present))
     doubtful = ~found.boxes.present | (found.boxes.scores < 0.5)
     return None if (boxes.present & doubtful).any() else found._replace(followed=True)
@@ -103,6 +106,13 @@ def followed_boxes(
     return HandBoxes(boxes_px, present, _scores(trail))
 
 
+def strayed(expected_px: np.ndarray, joints_px: np.ndarray) -> np.ndarray:
+    """(B,) how far joints (B, 21, 2) lie from those expected, on average, as a share of the hands' size: the longer
+    side of the box of those expected."""
+    size_px = np.ptp(expected_px, axis=1).max(axis=-1)
+    return np.linalg.norm(joints_px - expected_px, axis=-1).mean(axis=-1) / np.maximum(size_px, 1e-9)
+
+
 def followed_assignment(trail: Trail, present: np.ndarray) -> Assignment:
     """Every hand of those that are followed, (2,) bool, is itself, as surely as when HandSegNet saw it."""
     source = np.where(present, [LEFT, RIGHT], -1)
@@ -110,27 +120,29 @@ def followed_assignment(trail: Trail, present: np.ndarray) -> Assignment:
 
 
 def moved_masks(trail: Trail, expected_px: np.ndarray) -> np.ndarray:
-    """What HandSegNet saw last, moved, turned and scaled with the joints, and wider all round, as fingers bend as well.
+    """What HandSegNet saw last, what is perhaps a hand's included, moved, turned and scaled with the joints.
+
+    No wider and no coarser than it was: a rim of bright background makes a small hand seem near.
 
     Args:
         trail: of the clip.
         expected_px: (2, 21, 2) `expected_joints`.
 
     Returns:
-        (h, w) uint8 masks of the picture, 0 background, 1 left, 2 right, coarser than it; all background where nothing
-        was seen.
+        (h, w) uint8 masks of the picture, 0 background, 1 left, 2 right, of large pictures coarser than these; all
+        background where nothing was seen.
     """
-    if trail.seen.masks is None:
+    if trail.seen.crop_masks is None:
         return np.zeros((1, 1), np.uint8)
-    before = np.ascontiguousarray(trail.seen.masks[::_COARSE, ::_COARSE])
+    step = -(-max(trail.seen.crop_masks.shape) // _MOST_CELLS)
+    before = np.ascontiguousarray(trail.seen.crop_masks[::step, ::step])
     size, masks = (before.shape[1], before.shape[0]), np.zeros_like(before)
     for side, hand in enumerate(trail.seen.hands):
         joints = _joints(hand)
         if np.isfinite(joints).all() and np.isfinite(expected_px[side]).all():
-            cells = max(1, round(_WIDER * float(np.ptp(joints, axis=0).max()) / _COARSE))
-            wide = cv2.dilate((before == 1 + side).astype(np.uint8), np.ones((2 * cells + 1, 2 * cells + 1), np.uint8))
-            place = similarity(joints / _COARSE, expected_px[side] / _COARSE)
-            masks[cv2.warpAffine(wide, place, size, flags=cv2.INTER_NEAREST) > 0] = 1 + side
+            own = np.isin(before, (1 + side, 1 + side + UNCERTAIN)).astype(np.uint8)
+            place = similarity(joints / step, expected_px[side] / step)
+            masks[cv2.warpAffine(own, place, size, flags=cv2.INTER_NEAREST) > 0] = 1 + side
     return masks
 
 

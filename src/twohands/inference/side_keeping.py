@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 
 from twohands.geometry.boxes import box_from_points
+from twohands.geometry.segmentation import UNCERTAIN
 from twohands.inference.decision import DecisionConfig
 from twohands.skeleton import LEFT, RIGHT
 from twohands.types import HandPose, TwoHandPose
@@ -171,10 +172,9 @@ class SideKeeper:
 
 def with_sides_exchanged(pose: TwoHandPose) -> TwoHandPose:
     """The left hand as the right one and the other way round, in the masks as well."""
-    masks = pose.masks
-    if masks is not None:
-        masks = np.array([0, RIGHT + 1, LEFT + 1], masks.dtype)[masks]
-    return replace(pose, left=pose.right, right=pose.left, masks=masks)
+    other = np.array([0, RIGHT + 1, LEFT + 1, RIGHT + 1 + UNCERTAIN, LEFT + 1 + UNCERTAIN], np.uint8)
+    masks, crop_masks = (None if known is None else other[known] for known in (pose.masks, pose.crop_masks))
+    return replace(pose, left=pose.right, right=pose.left, masks=masks, crop_masks=crop_masks)
 
 
 def boxes_of(pose: TwoHandPose) -> np.ndarray:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -136,7 +135,7 @@ class LiveClip:
             )
         if self._listener is not None:
             self._listener.send(pose)
-        told = self._header, frame_line(replace(pose, masks=None))
+        told = self._header, frame_line(pose.without_masks())
         return Told(*told, self._measured(estimated[-1], source))
 
     def _measured(self, pose: TwoHandPose, source: IntrinsicsSource) -> str | None:

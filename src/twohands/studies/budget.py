@@ -167,7 +167,7 @@ def error_budget(
     labels: list[HandSample] = []
     for sample in samples:
         for found, estimate in zip(poses, estimates, strict=True):
-            found.append(replace(estimate(sample), masks=None))  # neither masks nor pictures are kept in memory
+            found.append(estimate(sample).without_masks())  # neither masks nor pictures are kept in memory
         labels.append(without_picture(sample))
     cameras = [sample.camera for sample in labels]
     lengths = np.array([hand_lengths_m(sample) for sample in labels])
