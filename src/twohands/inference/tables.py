@@ -118,21 +118,22 @@ def csv_text(poses: Iterable[TwoHandPose], files: Sequence[str] | None = None, *
     if header:
         rows.writerow(CSV_COLUMNS)
     for number, pose in enumerate(poses):
+        apart = _apart(pose)
         for side, hand in zip(SIDES, pose.hands, strict=True):
             if hand.present:
                 about = (pose.index, _cell(pose.time_s), "" if files is None else files[number], side)
-                rows.writerows((*row, *_apart(pose)) for row in _joint_rows(about, hand))
+                rows.writerows((*row, *apart) for row in _joint_rows(about, hand))
     return text.getvalue()
 
 
 def _joint_rows(about: tuple[Any, ...], hand: HandPose) -> Iterable[tuple[Any, ...]]:
     valid = int(bool(hand.valid))
+    sizes = [_cell(value) for value in (hand.score, hand.range_m, hand.range_sigma_m)]
     for joint, name in enumerate(JOINT_NAMES):
         pixel = (None, None) if hand.joints_px is None else hand.joints_px[joint]
         point = (None, None, None) if hand.joints_m is None else hand.joints_m[joint]
         score = None if hand.joint_scores is None else hand.joint_scores[joint]
         numbers = [_cell(value) for value in (*pixel, score, *point)]
-        sizes = [_cell(value) for value in (hand.score, hand.range_m, hand.range_sigma_m)]
         yield (*about, *sizes, valid, joint, name, *numbers, hand.scale_source or "", hand.intrinsics_source or "")
 
 

@@ -50,15 +50,16 @@ def _draw_hand(canvas: np.ndarray, hand: HandPose, side: int, scale: float) -> N
     points = np.asarray(hand.joints_px)
     depth = np.zeros(len(points)) if hand.canonical is None else np.nan_to_num(hand.canonical[:, 2])
     width = max(2, round(2.2 * scale))
+    places = _fixed(points)
     for start, end in sorted(BONES, key=lambda bone: -(depth[bone[0]] + depth[bone[1]])):
-        if np.isfinite(points[[start, end]]).all():
-            a, b = _fixed(points[start]), _fixed(points[end])
+        a, b = places[start], places[end]
+        if a is not None and b is not None:
             cv2.line(canvas, a, b, _INK, width + 2, cv2.LINE_AA, _SHIFT)
             cv2.line(canvas, a, b, joint_colour(side, end), width, cv2.LINE_AA, _SHIFT)
-    for joint, point in enumerate(points):
-        if np.isfinite(point).all():
+    for joint, place in enumerate(places):
+        if place is not None:
             radius = round((3.2 if joint == ROOT else 2.2) * scale * (1 << _SHIFT))
-            cv2.circle(canvas, _fixed(point), radius, joint_colour(side, joint), -1, cv2.LINE_AA, _SHIFT)
+            cv2.circle(canvas, place, radius, joint_colour(side, joint), -1, cv2.LINE_AA, _SHIFT)
     distance = "range ?" if hand.range_m is None else f"{100 * hand.range_m:.1f} cm"
     known = points[np.isfinite(points).all(axis=-1)]
     if len(known):
@@ -88,9 +89,11 @@ def _draw_inset(canvas: np.ndarray, pose: TwoHandPose, scale: float) -> None:
                 points = np.stack([0.5 + across, 1 - away], axis=-1) * size
             else:
                 points = np.stack([away, 0.5 + across], axis=-1) * size
+            places = _fixed(points)
             for start, end in BONES:
-                colour = joint_colour(side, end)
-                cv2.line(view, _fixed(points[start]), _fixed(points[end]), colour, 1, cv2.LINE_AA, _SHIFT)
+                a, b = places[start], places[end]
+                if a is not None and b is not None:
+                    cv2.line(view, a, b, joint_colour(side, end), 1, cv2.LINE_AA, _SHIFT)
         _write(view, f"{name} {reach:g} m", 3 * scale, size - 5 * scale, 0.7 * scale, (210, 210, 214))
 
 
@@ -105,7 +108,9 @@ def _write(canvas: np.ndarray, text: str, u: float, v: float, scale: float, colo
     cv2.putText(canvas, text, origin, font, size, colour, weight, cv2.LINE_AA)
 
 
-def _fixed(point: np.ndarray) -> tuple[int, int]:
-    """A point in OpenCV's fixed-point coordinates, whose origin is the first pixel's centre; ours is its corner."""
-    u, v = np.clip(np.rint((point - 0.5) * (1 << _SHIFT)), -(2**24), 2**24)
-    return int(u), int(v)
+def _fixed(points: np.ndarray) -> list[tuple[int, int] | None]:
+    """Points (N, 2) in OpenCV's fixed-point coordinates, whose origin is the first pixel's centre, ours its corner;
+    None for one that is not finite."""
+    known = np.asarray(np.isfinite(points).all(axis=1)).tolist()
+    cells = np.clip(np.rint((np.nan_to_num(points) - 0.5) * (1 << _SHIFT)), -(2**24), 2**24).astype(int).tolist()
+    return [(u, v) if finite else None for finite, (u, v) in zip(known, cells, strict=True)]

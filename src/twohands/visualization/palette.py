@@ -6,6 +6,7 @@ blindness, and by brightness alone where there is no colour. Fingers run from li
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -20,6 +21,7 @@ _SHADES: Final = (0.50, 0.25, 0.0, -0.22, -0.44)
 """Mix of each finger with white (positive) or black (negative)."""
 
 
+@cache
 def finger_colour(side: int, finger: int) -> tuple[int, int, int]:
     """RGB of one finger.
 
