@@ -8,6 +8,8 @@
 
 VENV := .venv
 BIN := $(VENV)/bin
+# Neighbours share fixtures, and so are done by the same process; one that has no more to do takes half of another's.
+SHARED_OUT := --numprocesses auto --maxprocesses 4 --dist worksteal
 
 .PHONY: help demo test test-fast lint clean environment environment-view
 
@@ -19,9 +21,9 @@ demo: environment-view
 
 test: environment
 	@bash scripts/system-packages.sh
-	OMP_NUM_THREADS=1 $(BIN)/pytest --numprocesses auto --maxprocesses 4 --ignore tests/training
+	OMP_NUM_THREADS=1 $(BIN)/pytest $(SHARED_OUT) --ignore tests/training
 # The trainer's loader forks, which a process that has held an OpenGL context does not survive: a run of its own.
-	OMP_NUM_THREADS=1 $(BIN)/pytest --numprocesses auto --maxprocesses 4 tests/training
+	OMP_NUM_THREADS=1 $(BIN)/pytest $(SHARED_OUT) tests/training
 
 # What renders nothing, trains nothing and runs no shipped weights; add new files by that rule. A minute of processor time.
 FAST := tests/geometry tests/formats tests/lifting tests/models tests/datasets/inspection \
@@ -35,7 +37,7 @@ FAST := tests/geometry tests/formats tests/lifting tests/models tests/datasets/i
 	$(addprefix tests/test_,architecture.py files.py pages.py plausibility.py skeleton.py)
 
 test-fast: environment
-	OMP_NUM_THREADS=1 $(BIN)/pytest --quiet --numprocesses 2 -m "not slow" $(FAST)
+	OMP_NUM_THREADS=1 $(BIN)/pytest --quiet --numprocesses 2 --dist worksteal -m "not slow" $(FAST)
 
 lint: environment
 	$(BIN)/ruff check .

@@ -4,13 +4,15 @@
 # for temporary files can be written, and with no network.
 set -euo pipefail
 cd "$(dirname "$0")/.."
+. .ci/installing.sh
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 python=${PYTHON:-.venv/bin/python}
-"$python" -m pip wheel --quiet --no-deps --wheel-dir "$work" .
+wheel=$(wheel_in "$work")
 "$python" -m venv "$work/venv"
-"$work/venv/bin/python" -m pip install --quiet --constraint constraints.txt "$work"/twohands-*.whl
+install "$work/venv" --constraint constraints.txt "$wheel"
 check=$PWD/.ci/check_core_install.py
+examples=$PWD/.ci/check_examples.py
 cd "$work" # away from the sources: what counts is what was installed
 "$work/venv/bin/python" "$check"
 
@@ -26,7 +28,7 @@ else
     echo "no name spaces here: with network and a writable file system"
     $run
 fi
-test -s "$work/out/demo/hands.json"
+"$work/venv/bin/python" "$examples" "$work/out/demo/hands.json"
 left=$(find "$work/tmp" -type f ! -path "*/twohands-cache-*" | head)
 [ -z "$left" ] || { echo "left behind: $left" >&2; exit 1; }
 echo "quiet: no home, nothing left behind"

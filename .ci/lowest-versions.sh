@@ -3,7 +3,7 @@
 # there is one; tracks there, and runs the tests that need nothing more.
 set -euo pipefail
 cd "$(dirname "$0")/.."
-. .ci/find-python.sh
+. .ci/installing.sh
 python=${PYTHON:-$(find_python 3.10 || echo "$PWD/.venv/bin/python")}
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
@@ -11,10 +11,12 @@ sed -n '/^dependencies = \[/,/^\]/s/^ *"\([^"]*\)>=\([^"]*\)",.*/\1==\2/p' pypro
 [ -s "$work/bounds.txt" ] || { echo "no lower bounds found in pyproject.toml" >&2; exit 1; }
 echo "lowest versions on $("$python" --version): $(tr '\n' ' ' < "$work/bounds.txt")"
 "$python" -m venv "$work/venv"
-"$work/venv/bin/python" -m pip install --quiet --requirement "$work/bounds.txt" . pytest
+install "$work/venv" --requirement "$work/bounds.txt" "$(wheel_in "$work")" pytest
 (cd "$work" && HOME=$work/home "$work/venv/bin/twohands" demo --out "$work/demo" > /dev/null)
-for verb in track live demo calibrate generate inspect train eval bench export lift export-motion; do
-    "$work/venv/bin/twohands" "$verb" --help > /dev/null || { echo "twohands $verb --help fails" >&2; exit 1; }
-done
+(cd "$work" && venv/bin/python - > "$work/help.txt") <<'PYTHON'
+from twohands.cli.main import VERBS, main
+failed = [verb for verb in VERBS if main([verb, "--help"]) != 0]
+assert len(VERBS) >= 12 and not failed, f"--help fails: {failed}"
+PYTHON
 OMP_NUM_THREADS=1 "$work/venv/bin/python" -m pytest -q -p no:cacheprovider \
     tests/formats tests/geometry tests/test_plausibility.py tests/test_skeleton.py
