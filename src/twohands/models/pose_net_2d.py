@@ -11,11 +11,13 @@ import torch
 from torch import Tensor, nn
 
 from twohands.errors import InputError
-from twohands.models.blocks import calm_output, conv_bn_relu, initialise, scaled
+from twohands.models.blocks import BasicBlock, calm_output, conv_bn_relu, initialise, scaled
 from twohands.models.efficientnet import PretrainedEncoderDecoder
 from twohands.models.encoder_decoder import EncoderDecoder
 from twohands.skeleton import N_JOINTS
 
+TRUNK_CHANNELS = 128
+"""Channels that the judge of a pretrained encoder sees."""
 CROP_STEP = 32
 """Crops have a multiple of so many rows and columns: the encoder-decoder halves them five times."""
 
@@ -72,6 +74,11 @@ class PoseNet2DConfig:
     def map_size(self) -> int:
         """Rows and columns of the maps: one cell for 8 pixels of the crop, for 4 of a U-shape's."""
         return self.crop_size // (4 if self.variant in U_SHAPES else 8)
+
+
+def judge_trunk(inputs: int, outputs: int) -> nn.Sequential:
+    """What lies between an encoder's coarsest level and its mean: (B, inputs, h, w) to (B, outputs, h, w)."""
+    return nn.Sequential(conv_bn_relu(inputs, outputs, 1), BasicBlock(outputs, outputs), BasicBlock(outputs, outputs))
 
 
 class PoseMachine(nn.Module):
@@ -158,9 +165,14 @@ class PoseNet2D(nn.Module):
             self.net = PretrainedEncoderDecoder(maps, config.width)
         else:
             self.net = PoseMachine(config)
-        self.judge = None
+        self.judge, self.judge_trunk = None, nn.Identity()
         if not isinstance(self.net, PoseMachine) and config.judge:
-            self.judge = nn.Sequential(nn.Linear(self.net.bottom_channels, 64), nn.ReLU(), nn.Linear(64, 1))
+            channels = self.net.bottom_channels
+            if isinstance(self.net, PretrainedEncoderDecoder):
+                # ImageNet's pictures are shown mirrored too: its encoder has been taught not to tell left from right.
+                self.judge_trunk = judge_trunk(channels, TRUNK_CHANNELS)
+                channels = TRUNK_CHANNELS
+            self.judge = nn.Sequential(nn.Linear(channels, 64), nn.ReLU(), nn.Linear(64, 1))
         initialise(self)
         for layer in self.modules():
             if isinstance(layer, nn.Conv2d) and layer.out_channels == N_JOINTS + config.cues:
@@ -193,7 +205,7 @@ class PoseNet2D(nn.Module):
         if isinstance(self.net, PoseMachine):
             return self.net(x if rows is None else x[rows]), None
         encoded = self.net.encode(x)
-        hand_logit = None if self.judge is None else self.judge(encoded[-1].mean(dim=(2, 3)))
+        hand_logit = None if self.judge is None else self.judge(self.judge_trunk(encoded[-1]).mean(dim=(2, 3)))
         if rows is not None:
             encoded = [level[rows] for level in encoded]
         return [self.net.decode(encoded)], hand_logit
