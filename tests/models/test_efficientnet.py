@@ -67,6 +67,9 @@ def test_both_networks_can_stand_on_it_and_judge():
     net = PoseNet2D(config).eval()
     maps, hand_logit = net.judged(torch.zeros(2, 3, 64, 64))
     assert maps[0].shape == (2, 29, 16, 16) and hand_logit is not None and hand_logit.shape == (2, 1)
+    assert not any(
+        name.startswith("judge_trunk") for name in PoseNet2D(dataclasses.replace(config, judge=False)).state_dict()
+    )
     segmentation, energy = HandSegNet(SMALL).eval()(torch.zeros(1, 3, 64, 96))
     assert segmentation.shape == (1, 3, 64, 96) and energy.shape == (1, 2, 64, 96)
 

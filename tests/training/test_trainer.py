@@ -8,11 +8,11 @@ import signal
 import pytest
 import torch
 from tests.builders import make_samples
-from tests.training.tiny import plain, tiny_run
+from tests.training.tiny import NETWORKS, plain, tiny_run
 
 from twohands.errors import CheckpointError, DataFormatError, InputError
 from twohands.models.checkpoint import load_network, load_tensors, read_note, same_weights, save_network
-from twohands.models.pose_net_2d import PoseNet2D
+from twohands.models.pose_net_2d import PoseNet2D, PoseNet2DConfig
 from twohands.models.presets import build_network
 from twohands.training.batches import BatchDataset
 from twohands.training.config import AugmentConfig, OptimConfig, TrainConfig, with_override
@@ -26,11 +26,11 @@ SAMPLES = make_samples(6)
 STAGES = ("hand_seg_net", "pose_net_2d", "pose_net_3d")
 
 
-def pose_weights(folder) -> list:
+def pose_weights(folder, shape: PoseNet2DConfig = NETWORKS.pose_net_2d) -> list:
     """A fresh PoseNet2D on disk, for the stage that needs one."""
     torch.manual_seed(5)
     path = folder / "start" / "pose_net_2d.safetensors"
-    save_network("pose_net_2d", PoseNet2D(tiny_run("pose_net_2d").networks.pose_net_2d), path)
+    save_network("pose_net_2d", PoseNet2D(shape), path)
     return [path]
 
 
@@ -246,16 +246,20 @@ def test_gradients_reach_pose_net_2d_through_the_maps(tmp_path):
         assert max(float(p.grad.abs().max()) for p in stage.net_2d.net.parameters()) > 0
 
 
+@pytest.mark.parametrize("variant", ["encoder-decoder", "efficientnet-lite0"])
 @pytest.mark.parametrize("along", [0.0, 1.0])
-def test_everything_that_learns_gets_a_gradient(along, tmp_path):
+def test_everything_that_learns_gets_a_gradient(along, variant, tmp_path):
     """Named case: several processes waited for those of a judge without a loss, and ended in an error."""
     config = with_override(tiny_run("pose_net_3d", iterations=1), f"loss.heatmap_along={along}")
-    stage = build_stage(config, pose_weights(tmp_path)).train()
+    shape = dataclasses.replace(config.networks.pose_net_2d, variant=variant)
+    config = dataclasses.replace(config, networks=dataclasses.replace(config.networks, pose_net_2d=shape))
+    start = pose_weights(tmp_path, shape)
+    stage = build_stage(config, start).train()
     sum(stage(BatchDataset(SAMPLES, config)[0], 0).values()).backward()
     learning = {name for name, parameter in stage.named_parameters() if parameter.requires_grad}
     assert learning == {name for name, parameter in stage.named_parameters() if parameter.grad is not None}
     assert any("judge" in name for name in learning) == (along > 0)
-    result = train(config, SAMPLES, [], tmp_path / "run", weights=pose_weights(tmp_path))
+    result = train(config, SAMPLES, [], tmp_path / "run", weights=start)
     assert result.iterations == 1
 
 

@@ -178,7 +178,8 @@ class Pose3DStage(Stage):
         self.along = config.optim.along_rate > 0
         self.net_2d.requires_grad_(self.along)
         if self.net_2d.judge is not None and not config.loss.heatmap_along:
-            self.net_2d.judge.requires_grad_(False)  # nothing else teaches it, and processes wait for every gradient
+            for part in (self.net_2d.judge, self.net_2d.judge_trunk):
+                part.requires_grad_(False)  # nothing else teaches them, and processes wait for every gradient
 
     def train(self, mode: bool = True) -> Pose3DStage:
         """As for every module, but a frozen PoseNet2D keeps its batch statistics too."""
