@@ -12,6 +12,7 @@ from tests.training.tiny import NETWORKS, plain, tiny_run
 
 from twohands.errors import CheckpointError, DataFormatError, InputError
 from twohands.models.checkpoint import load_network, load_tensors, read_note, same_weights, save_network
+from twohands.models.hand_seg_net import HandSegNetConfig
 from twohands.models.pose_net_2d import PoseNet2D, PoseNet2DConfig
 from twohands.models.presets import build_network
 from twohands.training.batches import BatchDataset
@@ -330,6 +331,22 @@ def test_weights_without_a_judge_can_be_taught_to_judge(tmp_path):
     with pytest.raises(InputError, match="has the shape"):
         networks = dataclasses.replace(config.networks, pose_net_2d=dataclasses.replace(shape, width=0.5))
         build_stage(dataclasses.replace(config, networks=networks), [tmp_path / "old.safetensors"])
+
+
+def test_a_hand_seg_net_without_context_goes_on_with_the_same_answers(tmp_path):
+    config = tiny_run("hand_seg_net")
+    shape = HandSegNetConfig("efficientnet-lite0", height=64, width_px=96)
+    torch.manual_seed(3)
+    old = build_network("hand_seg_net", shape).eval()
+    save_network("hand_seg_net", old, tmp_path / "old.safetensors")
+    networks = dataclasses.replace(config.networks, hand_seg_net=dataclasses.replace(shape, context=2))
+    stage = build_stage(dataclasses.replace(config, networks=networks), [tmp_path / "old.safetensors"]).eval()
+    assert len(stage.net.state_dict()) > len(old.state_dict())
+    picture = torch.rand(1, 3, 64, 96) - 0.5
+    for ours, theirs in zip(stage.net(picture), old(picture), strict=True):
+        torch.testing.assert_close(ours, theirs)
+    with pytest.raises(InputError, match="cannot have 2 blocks of context"):
+        dataclasses.replace(config.networks.hand_seg_net, context=2)
 
 
 def test_weights_without_cues_go_on_with_the_same_answers(tmp_path):

@@ -125,15 +125,22 @@ class PretrainedEncoderDecoder(nn.Module):
     Args:
         outputs: number of maps.
         width: multiplier of the decoder's channel numbers; the encoder's are as published.
+        context: number of residual blocks at stride 32, where a cell sees the whole person. ImageNet's pictures are
+            shown mirrored too, so that the encoder has been taught not to tell left from right; these blocks can learn
+            it at the decoder's rate. Fresh ones change nothing.
     """
 
-    def __init__(self, outputs: int, width: float) -> None:
+    def __init__(self, outputs: int, width: float, context: int = 0) -> None:
         super().__init__()
         self.encoder = EfficientNetLite0()
         self.bottom_channels = EfficientNetLite0.channels[-1]
         sizes = [scaled(c, width) for c in DECODER_CHANNELS][::-1]
         skips = EfficientNetLite0.channels[1:][::-1]
         self.bottom = conv_bn_relu(skips[0], sizes[0], 1)
+        blocks = [BasicBlock(sizes[0], sizes[0]) for _ in range(context)]
+        for block in blocks:
+            nn.init.zeros_(block.branch[-1][-1].weight)
+        self.context = nn.Sequential(*blocks)
         self.skip, self.lateral, self.up = nn.ModuleList(), nn.ModuleList(), nn.ModuleList()
         for skip, (below, here) in zip(skips[1:], itertools.pairwise(sizes), strict=True):
             self.skip.append(conv_bn_relu(skip, here, 1, relu=False))
@@ -151,7 +158,7 @@ class PretrainedEncoderDecoder(nn.Module):
 
     def decode(self, encoded: list[Tensor]) -> Tensor:
         """What `encode` gave to (B, outputs, H / 4, W / 4)."""
-        x = self.bottom(encoded[-1])
+        x = self.context(self.bottom(encoded[-1]))
         for level, skip, lateral, layer in zip(encoded[-2:0:-1], self.skip, self.lateral, self.up, strict=True):
             x = nn.functional.interpolate(lateral(x), scale_factor=2.0, mode="nearest")
             x = layer(torch.relu(x + skip(level)))

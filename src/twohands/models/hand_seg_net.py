@@ -34,6 +34,8 @@ class HandSegNetConfig:
     """Columns of the input, a multiple of 32."""
     width: float = 1.0
     """Multiplier of all channel numbers; 1 is the paper's size."""
+    context: int = 0
+    """Residual blocks between encoder and decoder (efficientnet-lite0 only)."""
 
     def __post_init__(self) -> None:
         if self.variant not in get_args(HandSegNetVariant):
@@ -45,6 +47,8 @@ class HandSegNetConfig:
                 raise InputError(f"hand_seg_net: {name} must be a positive multiple of 32, got {getattr(self, name)}")
         if not self.width > 0:
             raise InputError(f"hand_seg_net: width must be positive, got {self.width}")
+        if self.context < 0 or (self.context and self.variant != "efficientnet-lite0"):
+            raise InputError(f"hand_seg_net: {self.variant} cannot have {self.context} blocks of context")
 
 
 class AutoEncoder(nn.Module):
@@ -99,7 +103,7 @@ class HandSegNet(nn.Module):
         elif config.variant == "encoder-decoder":
             self.net = EncoderDecoder(MAPS, config.width, finest=2)
         else:
-            self.net = PretrainedEncoderDecoder(MAPS, config.width)
+            self.net = PretrainedEncoderDecoder(MAPS, config.width, config.context)
         initialise(self)
         for layer in self.modules():
             if isinstance(layer, nn.Conv2d) and layer.out_channels == MAPS:

@@ -88,7 +88,7 @@ def _fill(known: Mapping[str, nn.Module], path: Path) -> str:
     """Load a checkpoint into the network of a stage that it belongs to; returns that network's name.
 
     The pose networks may come without a judge and with fewer cues: the run's own stay fresh. HandSegNet may come from
-    pictures of another size, PoseNet2D from crops of another.
+    pictures of another size and without context, PoseNet2D from crops of another.
     """
     found = network_name(path)
     name = (
@@ -106,7 +106,8 @@ def _fill(known: Mapping[str, nn.Module], path: Path) -> str:
 def _with_free_settings(found: Any, asked: Any) -> Any:
     """The configuration of a loaded network, with what may differ taken from the one that is asked for."""
     if isinstance(found, HandSegNetConfig) and isinstance(asked, HandSegNetConfig):
-        return dataclasses.replace(found, height=asked.height, width_px=asked.width_px)
+        context = max(found.context, asked.context)
+        return dataclasses.replace(found, height=asked.height, width_px=asked.width_px, context=context)
     if isinstance(found, PoseNet2DConfig) and isinstance(asked, PoseNet2DConfig):
         return dataclasses.replace(
             found, crop_size=asked.crop_size, judge=found.judge or asked.judge, cues=max(found.cues, asked.cues)
