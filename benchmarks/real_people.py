@@ -132,12 +132,12 @@ KINDS: dict[str, Kind] = {
     "generated.error_px": _error("generated people: 2D", "px"),
     "generated.range_cm": _error("generated people: range median", "cm", 2),
     "generated.within_7cm": _fraction("generated people: within 7 cm"),
-    "paper.presence": _fraction("preset paper: presence"),
-    "paper.miou": _fraction("preset paper: mIoU"),
-    "paper.side_errors": _share("preset paper: side errors", digits=1, more=False),
-    "paper.error_px": _error("preset paper: 2D", "px"),
-    "paper.range_cm": _error("preset paper: range median", "cm", 2),
-    "paper.within_7cm": _fraction("preset paper: within 7 cm"),
+    "paper.presence": _fraction("style paper: presence"),
+    "paper.miou": _fraction("style paper: mIoU"),
+    "paper.side_errors": _share("style paper: side errors", digits=1, more=False),
+    "paper.error_px": _error("style paper: 2D", "px"),
+    "paper.range_cm": _error("style paper: range median", "cm", 2),
+    "paper.within_7cm": _fraction("style paper: within 7 cm"),
     TIME: _error("HandSegNet: time over that of the weights of before", "", 2),
 }
 """Every figure."""
@@ -221,7 +221,7 @@ ROWS = (
         (("generated.presence", 0.97, 0.99), ("generated.miou", 0.88, 0.93), ("generated.side_errors", 0.02, 0.005)),
     ),
     Row(
-        "preset paper, 1,000: presence, 2D, range median, within 7 cm",
+        "style paper, 1,000: presence, 2D, range median, within 7 cm",
         ".999, 1.7 px, .55 cm, .995",
         ".998, 1.8 px, .60 cm, .995",
         "better than now",
@@ -558,7 +558,7 @@ def _parser() -> argparse.ArgumentParser:
     option("--only", type=_parts, metavar="PART,...", help=f"of {', '.join(PARTS)}, frames")
     option("--quick", action="store_true", help=f"{', '.join(QUICK_PARTS)}; fewer frames and digits, no tracking")
     option("--generated", type=Path, help="generated test set of people, with part labels")
-    option("--paper", type=Path, help="generated test set of preset paper")
+    option("--paper", type=Path, help="generated test set of style paper")
     option("--today", help="weights folder or preset whose HandSegNet is timed in turns with the others'")
     option("--threads", type=int, default=0, help="CPU threads of the networks; 0 takes all cores")
     option("--out", type=Path, default=Path("out/real_people"), help="folder for everything that is written")

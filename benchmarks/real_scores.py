@@ -183,7 +183,7 @@ def photo_figures(part: Part, predictions: Predictions, tool: ModuleType) -> Fig
 
 
 def generated_figures(part: Part, predictions: Predictions, tool: ModuleType) -> Figures:
-    """A generated test set, people or preset paper: metrics of the evaluation, and "side_errors", the share of the
+    """A generated test set, people or style paper: metrics of the evaluation, and "side_errors", the share of the
     hands that were found which were found on the other side."""
     reference: Reference = {}
 

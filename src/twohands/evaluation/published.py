@@ -75,7 +75,7 @@ PUBLISHED: Final[dict[str, tuple[Published, ...]]] = {
 
 GENERATED_CAVEAT: Final = (
     "The paper's numbers are on its own Ego3DHands test sets, with networks trained on Ego3DHands. A set made by "
-    "`twohands generate` has the same layout (preset paper also the camera and hand length), but other people, poses "
+    "`twohands generate` has the same layout (style paper also the camera and hand length), but other people, poses "
     "and pictures: there, the two columns say how hard the sets are as much as how good the systems are."
 )
 
