@@ -137,10 +137,10 @@ class PretrainedEncoderDecoder(nn.Module):
         sizes = [scaled(c, width) for c in DECODER_CHANNELS][::-1]
         skips = EfficientNetLite0.channels[1:][::-1]
         self.bottom = conv_bn_relu(skips[0], sizes[0], 1)
-        blocks = [BasicBlock(sizes[0], sizes[0]) for _ in range(context)]
-        for block in blocks:
-            nn.init.zeros_(block.branch[-1][-1].weight)
-        self.context = nn.Sequential(*blocks)
+        self.context = nn.Sequential(*(BasicBlock(sizes[0], sizes[0]) for _ in range(context)))
+        for name, parameter in self.context.named_parameters():
+            if name.endswith("branch.1.1.weight"):  # of the last normalisation
+                nn.init.zeros_(parameter)
         self.skip, self.lateral, self.up = nn.ModuleList(), nn.ModuleList(), nn.ModuleList()
         for skip, (below, here) in zip(skips[1:], itertools.pairwise(sizes), strict=True):
             self.skip.append(conv_bn_relu(skip, here, 1, relu=False))
