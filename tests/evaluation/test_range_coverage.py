@@ -1,12 +1,8 @@
 """How often ranges lie within what is said of them: what is counted, on perfect networks."""
 
-import subprocess
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
-from benchmarks.range_coverage import COLUMNS, Row, measured
+from benchmarks.range_coverage import COLUMNS, Row, main, measured
 from tests.oracles import Oracle, drawn_hands, make_card
 
 from twohands.inference.range_sigma import ASSUMED_LENGTH_SPREAD, TYPED_LENGTH_SPREAD
@@ -40,8 +36,6 @@ def test_with_its_own_length_a_hand_is_where_it_is_and_with_another_as_much_off(
 @pytest.mark.parametrize(
     ("arguments", "message"), [([], "no pictures: give --data"), (["--data", "folder"], "NAME=FOLDER expected")]
 )
-def test_what_cannot_be_measured_is_one_line_and_exit_2(arguments, message):
-    program = [sys.executable, "-m", "benchmarks.range_coverage", *arguments]
-    root = Path(__file__).parents[2]
-    done = subprocess.run(program, cwd=root, capture_output=True, text=True, check=False)
-    assert done.returncode == 2 and message in done.stderr and done.stderr.count("\n") == 1
+def test_what_cannot_be_measured_is_one_line_and_exit_2(arguments, message, run_program):
+    code, errors = run_program(main, *arguments)
+    assert code == 2 and message in errors and errors.count("\n") == 1

@@ -1,9 +1,5 @@
 """`scripts/fit_handedness.py`: what is right, how it counts, and that known weights are found again."""
 
-import subprocess
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scripts.fit_handedness import (
@@ -19,6 +15,7 @@ from scripts.fit_handedness import (
     judged_by,
     likeliest,
     load,
+    main,
     moved,
     outcome_of,
     renumbered,
@@ -37,7 +34,6 @@ from twohands.inference.estimator import HandEstimator
 from twohands.inference.handedness import ANSWERS, Before, Evidence, answer_scores, first_features, probabilities
 from twohands.inference.weights import read_card
 
-ROOT = Path(__file__).parents[2]
 NO = np.nan
 
 
@@ -189,11 +185,10 @@ def test_the_card_takes_the_weights_and_keeps_the_rest(tmp_path):
     assert after.decision == fitted and after.views == before.views and after.placement == before.placement
 
 
-def test_it_tells_what_it_cannot_begin_with(tmp_path):
+def test_it_tells_what_it_cannot_begin_with(tmp_path, run_program):
     folder = write_tiny_weights(tmp_path / "tiny")
-    command = [sys.executable, "scripts/fit_handedness.py", str(folder), "--cache", str(tmp_path / "e.npz")]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert done.returncode == 2 and "no hand classifier" in done.stderr
+    code, errors = run_program(main, folder, "--cache", tmp_path / "e.npz")
+    assert code == 2 and "no hand classifier" in errors
 
 
 def test_a_judge_sees_our_candidates_in_its_own_crops(tmp_path):

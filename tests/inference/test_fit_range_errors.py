@@ -1,20 +1,26 @@
 """`scripts/fit_range_errors.py`: what it finds where it is known, and what it cannot begin with."""
 
 import json
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
-from scripts.fit_range_errors import Off, Ranges, fitted, fitted_sigma, loss, ranges_in, share_within, write_to_card
+from scripts.fit_range_errors import (
+    Off,
+    Ranges,
+    fitted,
+    fitted_sigma,
+    loss,
+    main,
+    ranges_in,
+    share_within,
+    write_to_card,
+)
 from tests.oracles import Oracle, drawn_hands, make_card
 
 from twohands.errors import InputError
 from twohands.inference.decision import PlacementConfig
 from twohands.inference.placement import range_sigma
 
-ROOT = Path(__file__).parents[2]
 PRIOR = PlacementConfig()
 
 
@@ -84,7 +90,6 @@ def test_without_hands_there_is_nothing_to_fit():
         fitted([])
 
 
-def test_what_cannot_be_read_is_one_line_and_exit_2(tmp_path):
-    script = [sys.executable, str(ROOT / "scripts" / "fit_range_errors.py"), str(tmp_path / "none"), "--data", "x"]
-    done = subprocess.run(script, capture_output=True, text=True, check=False)
-    assert done.returncode == 2 and done.stderr.startswith("error: weights ") and done.stderr.count("\n") == 1
+def test_what_cannot_be_read_is_one_line_and_exit_2(tmp_path, run_program):
+    code, errors = run_program(main, tmp_path / "none", "--data", "x")
+    assert code == 2 and errors.startswith("error: weights ") and errors.count("\n") == 1

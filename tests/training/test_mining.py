@@ -1,9 +1,6 @@
 """`scripts/mine_backgrounds.py`: what it keeps, and what it cannot begin with."""
 
-import subprocess
-import sys
 from argparse import Namespace
-from pathlib import Path
 from types import SimpleNamespace
 
 import cv2
@@ -12,15 +9,12 @@ import pytest
 
 pytest.importorskip("moderngl")
 
-from scripts.mine_backgrounds import Kept, mined
+from scripts.mine_backgrounds import Kept, main, mined
 from tests.oracles import drawn_hands
 
 from twohands.geometry.segmentation import HandBoxes
 from twohands.synth.backgrounds.base import Background
 from twohands.training.hand_views import hand_box
-
-ROOT = Path(__file__).parents[2]
-
 
 SAMPLE = drawn_hands(1)
 NOWHERE = [np.nan] * 4
@@ -89,12 +83,11 @@ def test_a_background_is_kept_where_a_hand_is_seen_that_is_none(number, seen, ke
         (["--out", "new", "--workers", "0"], "worker"),
     ],
 )
-def test_mistakes_are_one_line_and_leave_nothing(words, message, tmp_path):
+def test_mistakes_are_one_line_and_leave_nothing(words, message, tmp_path, monkeypatch, run_program):
     """Named case: tracebacks for a taken output folder and for one without pictures."""
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "notes.txt").touch()
-    script = [sys.executable, str(ROOT / "scripts" / "mine_backgrounds.py"), "--count", "1", *words]
-    run = subprocess.run(script, cwd=tmp_path, check=False, capture_output=True, text=True)
-    assert run.returncode == 2
-    assert run.stderr.startswith("error: ") and message in run.stderr and run.stderr.count("\n") == 1
+    monkeypatch.chdir(tmp_path)
+    code, errors = run_program(main, "--count", "1", *words)
+    assert code == 2 and errors.startswith("error: ") and message in errors and errors.count("\n") == 1
     assert [path.name for path in tmp_path.iterdir()] == ["full"]
