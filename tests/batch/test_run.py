@@ -213,7 +213,7 @@ def _wait_for_news(out: Path, process: subprocess.Popen) -> None:
         (["clips", "--workers", "-1"], "--workers must be 0"),
         (["clips", "--ray-address", "auto"], "--ray-address needs --engine ray"),
         (["clips", "--json"], "--json is for a single clip"),
-        (["clips", "--estimator", "mediapipe"], "--estimator is for a single clip"),
+        (["clips", "--estimator", "mediapipe", "--peer-python", "/bin/true"], "has no MediaPipe Hands"),
         (["clips", "--resume", "--overwrite"], "not both"),
         (["clips", "--weights", "nonesuch"], "nonesuch"),
         (["clips", "--stride", "0"], "stride must be at least 1"),

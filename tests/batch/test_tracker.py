@@ -13,8 +13,10 @@ from tests.batch.clips import write_clips
 from tests.oracles import write_tiny_weights
 
 from twohands.batch import ClipTracker
+from twohands.batch.tracker import mediapipe_name
 from twohands.errors import InputError
 from twohands.inference.clip_files import read_clip
+from twohands.lifting import mediapipe_estimator
 from twohands.types import PinholeCamera
 
 
@@ -49,6 +51,34 @@ def test_a_clip_that_cannot_be_read_is_a_status(weights, tmp_path):
     assert not (tmp_path / "out" / "text.mp4").exists()
     with pytest.raises(InputError, match="under 'input' expected"):
         tracker({"path": "a.mp4"})
+
+
+def test_every_clip_has_a_mediapipe_of_its_own(tmp_path, monkeypatch):
+    """It follows hands, so that one clip's must not be looked for in the next; the manifest says which MediaPipe."""
+    opened = []
+
+    class StandIn:
+        version = "0"
+
+        def __init__(self, python, **options):
+            opened.append((python, options["video"]))
+
+        def detect(self, image):
+            return []
+
+        def close(self):
+            opened.append("closed")
+
+    monkeypatch.setattr(mediapipe_estimator, "MediaPipeHands", StandIn)
+    mediapipe_name.cache_clear()
+    tracker = ClipTracker(str(tmp_path / "out"), overlay=False, estimator="mediapipe", peer_python="mp/python")
+    for clip in sorted(write_clips(tmp_path / "clips", 2).iterdir()):
+        assert tracker(str(clip))["status"] == "done"
+        header, poses = read_clip(tmp_path / "out" / clip.name / "hands.jsonl")
+        assert header["weights"] == "MediaPipe Hands 0" and not next(poses).left.present
+    assert opened == [("mp/python", True), "closed"] * 3, "once to ask for its name"
+    settings = tracker.settings()
+    assert settings["weights"] == "MediaPipe Hands 0" and "peer_python" not in settings and "config" not in settings
 
 
 def test_results_lie_below_the_output_as_clips_below_the_root(weights, tmp_path):

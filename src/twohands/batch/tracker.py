@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from twohands.batch.clip import ClipJob, sourced, write_clip
+from twohands.batch.estimators import EstimatorKind, OpenEstimator
 from twohands.batch.manifest import Entry
 from twohands.batch.stores import Clip, is_remote, join, list_clips, store_of
 from twohands.errors import InputError, TwoHandsError
@@ -46,6 +48,9 @@ class ClipTracker:
         weights: preset, or a weights folder.
         start_s, end_s, stride: the part of every clip that is wanted, as `frames.VideoFrames`.
         mirrored, smooth, look_ahead_s, overlay: as `clip.ClipJob`.
+        estimator: our networks, or MediaPipe, of which every clip gets a process of its own.
+        peer_python: interpreter of the environment that holds mediapipe; None for this one.
+        mediapipe_model: file of its Tasks API; None for the models of 0.10.21.
 
     Raises:
         InputError: camera and field of view are both given, or a value cannot be.
@@ -66,6 +71,9 @@ class ClipTracker:
     smooth: bool = True
     look_ahead_s: float = 0.0
     overlay: bool = True
+    estimator: EstimatorKind = "ours"
+    peer_python: str | None = None
+    mediapipe_model: str | None = None
 
     def __post_init__(self) -> None:
         if self.camera is not None and self.fov_deg is not None:
@@ -121,7 +129,7 @@ class ClipTracker:
             TwoHandsError: as `__call__`.
         """
         name = clip.name if name is None else name
-        estimator = self.check()
+        self.check()
         store, source = store_of(self.out), store_of(root)
         place = store.canonical(join(self.out, name))
         if f"{source.canonical(join(root, clip.name))}/".startswith(f"{place}/"):
@@ -129,7 +137,7 @@ class ClipTracker:
         with store.staging(self.out, name) as folder:
             try:
                 with source.fetched(root, clip.name) as path:
-                    said, frames = self._write(path, name, folder, estimator)
+                    said, frames = self._write(path, name, folder)
             except TwoHandsError as error:
                 said, frames = str(error), 0
             except OSError as error:
@@ -140,15 +148,18 @@ class ClipTracker:
         store.discard(self.out, name)
         return Entry(name, clip.size, clip.etag, "failed", 0, said or "not one frame in it")
 
-    def check(self) -> HandEstimator:
-        """Loads what is needed; returns the networks.
+    def check(self) -> None:
+        """Loads what is needed.
 
         Raises:
             MissingExtraError: PyAV is not installed.
-            CheckpointError, InputError: there are no such weights, or they are damaged.
+            CheckpointError, InputError: there are no such weights, they are damaged, or MediaPipe cannot be run.
         """
         load_av()
-        return load_estimator(self.weights)
+        if self.estimator == "mediapipe":
+            mediapipe_name(self.peer_python, self.mediapipe_model)
+        else:
+            load_estimator(self.weights)
 
     @property
     def known(self) -> Known:
@@ -160,14 +171,18 @@ class ClipTracker:
 
     def settings(self) -> dict[str, Any]:
         """All that the results depend on beside the clips, as JSON values."""
-        card = load_estimator(self.weights).card
-        found = {name: value for name, value in asdict(self).items() if name not in ("out", "root")}
-        found |= {"weights": card.name, "end_s": self.end_s if math.isfinite(self.end_s) else None}
+        apart = ("out", "root", "estimator", "peer_python", "mediapipe_model")
+        found = {name: value for name, value in asdict(self).items() if name not in apart}
+        found["end_s"] = self.end_s if math.isfinite(self.end_s) else None
         if self.camera is not None:
             found["camera"] = {key: np.asarray(value).tolist() for key, value in found["camera"].items()}
-        return found | {"config": card.settings()}
+        if self.estimator == "mediapipe":
+            name = mediapipe_name(self.peer_python, self.mediapipe_model)
+            return found | {"weights": name, "mediapipe_model": self.mediapipe_model}
+        card = load_estimator(self.weights).card
+        return found | {"weights": card.name, "config": card.settings()}
 
-    def _write(self, path: Path, name: str, folder: Path, estimator: HandEstimator) -> tuple[str | None, int]:
+    def _write(self, path: Path, name: str, folder: Path) -> tuple[str | None, int]:
         """Tracks a file; what is to be said of it, and how many frames of it were used.
 
         Raises:
@@ -175,22 +190,26 @@ class ClipTracker:
             OSError: the results cannot be written.
         """
         known = self.known
-        estimate = sourced(estimator.estimate, known.scale_source, known.camera_source or "assumed")
-        job = ClipJob(
-            name,
-            folder,
-            lambda width, height: known.camera_of(width, height)[0],
-            known.hand_length_m,
-            self.mirrored,
-            self.smooth,
-            self.look_ahead_s,
-            self.overlay,
-            estimator.card.name,
-            {"config": estimator.card.settings()},
-            estimator.card.decision,
-        )
         try:
-            with VideoFrames(path, start_s=self.start_s, end_s=self.end_s, stride=self.stride) as frames:
+            with ExitStack() as stack:
+                frames = stack.enter_context(
+                    VideoFrames(path, start_s=self.start_s, end_s=self.end_s, stride=self.stride)
+                )
+                found = self._opened(stack)
+                job = ClipJob(
+                    name,
+                    folder,
+                    lambda width, height: known.camera_of(width, height)[0],
+                    known.hand_length_m,
+                    self.mirrored,
+                    self.smooth,
+                    self.look_ahead_s,
+                    self.overlay,
+                    found.weights,
+                    found.more,
+                    found.decision,
+                )
+                estimate = sourced(found.estimate, known.scale_source, known.camera_source or "assumed")
                 tally = write_clip(job, frames, estimate)
         except TwoHandsError as error:
             raise InputError(str(error).replace(str(path), name)) from error
@@ -200,6 +219,12 @@ class ClipTracker:
         if tally.skipped:
             remarks.append(f"{tally.skipped} frames skipped, the first: {tally.reason}")
         return "; ".join(remarks) or None, tally.frames
+
+    def _opened(self, stack: ExitStack) -> OpenEstimator:
+        """The estimator of one clip, which `stack` closes."""
+        if self.estimator == "mediapipe":
+            return OpenEstimator.mediapipe(stack, self.peer_python, self.mediapipe_model)
+        return OpenEstimator.ours(load_estimator(self.weights))
 
     def _name_of(self, place: str) -> str:
         """The name of the results' folder of a clip."""
@@ -219,3 +244,14 @@ def load_estimator(weights: str) -> HandEstimator:
         CheckpointError, InputError: there are none of this name, or they are damaged.
     """
     return HandEstimator.from_preset(weights, THREADS)
+
+
+@lru_cache(maxsize=1)
+def mediapipe_name(python: str | None, model: str | None) -> str:
+    """MediaPipe's name and version, asked once for each process.
+
+    Raises:
+        InputError: as `MediaPipeEstimator`.
+    """
+    with ExitStack() as stack:
+        return OpenEstimator.mediapipe(stack, python, model).weights

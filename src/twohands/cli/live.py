@@ -16,7 +16,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from twohands.cli.estimators import opened
+from twohands.batch.estimators import opened
 from twohands.cli.known import known_by
 from twohands.cli.process import EndedBySignal
 from twohands.cli.track import option

@@ -24,9 +24,9 @@ import numpy as np
 import tyro
 
 from twohands.batch.clip import ClipJob, sourced
+from twohands.batch.estimators import opened
 from twohands.batch.stores import is_remote
 from twohands.batch.tracker import ClipTracker
-from twohands.cli.estimators import opened
 from twohands.cli.known import camera_assumption, known_by
 from twohands.cli.output import check_output_folder, write_file
 from twohands.cli.track_clip import check_look_ahead, check_times, default_out, track_clip
@@ -211,7 +211,7 @@ def _refuse_options(args: TrackArgs, names: Sequence[str], whose: str) -> None:
 
 def _track_clips(args: TrackArgs, known: Known) -> int:
     """Many videos, or one from or to a bucket."""
-    _refuse_options(args, ("json", "estimator"), "a single clip")
+    _refuse_options(args, ("json",), "a single clip")
     start_s, end_s = check_times(args.start, args.end)
     existing = existing_of(args.resume, args.overwrite)
     if args.out is not None and "://" in args.out and not is_remote(args.out):
@@ -232,8 +232,16 @@ def _track_clips(args: TrackArgs, known: Known) -> int:
         smooth=args.smooth,
         look_ahead_s=args.look_ahead,
         overlay=args.overlay,
+        estimator=args.estimator,
+        peer_python=_file_or_name(args.peer_python),
+        mediapipe_model=_file_or_name(args.mediapipe_model),
     )
     return track_many(tracker, args.input, Crew(args.engine, args.workers, args.ray_address), existing)
+
+
+def _file_or_name(place: Path | None) -> str | None:
+    """A file as seen from any working folder; what is no file, a command perhaps, as it is."""
+    return None if place is None else str(place.absolute() if place.is_file() else place)
 
 
 def _track_clip(args: TrackArgs, known: Known) -> int:

@@ -1,4 +1,4 @@
-"""The estimator that a command is told to use: ours, or MediaPipe's hands lifted to metres."""
+"""The estimator of a clip: ours, or MediaPipe's hands lifted to metres."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from twohands.inference.decision import DecisionConfig
 from twohands.inference.estimator import HandEstimator
 from twohands.lifting.mediapipe_estimator import MediaPipeEstimator
 from twohands.types import TwoHandPose
+
+EstimatorKind = Literal["ours", "mediapipe"]
 
 
 class OpenEstimator(NamedTuple):
@@ -28,9 +30,26 @@ class OpenEstimator(NamedTuple):
     more: dict[str, Any]
     decision: DecisionConfig | None
 
+    @classmethod
+    def ours(cls, estimator: HandEstimator) -> OpenEstimator:
+        """Our networks."""
+        return cls(
+            estimator.estimate, estimator.card.name, {"config": estimator.card.settings()}, estimator.card.decision
+        )
+
+    @classmethod
+    def mediapipe(cls, stack: ExitStack, python: str | Path | None, model: str | Path | None) -> OpenEstimator:
+        """MediaPipe in a process of its own, for one clip, through which it follows hands; `stack` ends it.
+
+        Raises:
+            InputError: as `MediaPipeEstimator`.
+        """
+        peer = stack.enter_context(MediaPipeEstimator(python, model=model, video=True))
+        return cls(peer.estimate, peer.name, {}, None)
+
 
 def opened(
-    stack: ExitStack, kind: Literal["ours", "mediapipe"], weights: str, python: Path | None, model: Path | None
+    stack: ExitStack, kind: EstimatorKind, weights: str, python: Path | None, model: Path | None
 ) -> OpenEstimator:
     """Opens an estimator for video.
 
@@ -44,7 +63,5 @@ def opened(
         InputError, CheckpointError: it cannot be opened.
     """
     if kind == "mediapipe":
-        peer = stack.enter_context(MediaPipeEstimator(python, model=model, video=True))
-        return OpenEstimator(peer.estimate, peer.name, {}, None)
-    ours = HandEstimator.from_preset(weights)
-    return OpenEstimator(ours.estimate, ours.card.name, {"config": ours.card.settings()}, ours.card.decision)
+        return OpenEstimator.mediapipe(stack, python, model)
+    return OpenEstimator.ours(HandEstimator.from_preset(weights))
