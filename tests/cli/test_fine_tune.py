@@ -6,7 +6,9 @@ import pytest
 
 from twohands.cli.demo import examples_folder
 from twohands.cli.main import main
+from twohands.export import onnx
 from twohands.inference.weights import WeightsCard, preset_folder, read_card
+from twohands.training import fine_tune
 
 CAMERA = {"fx": 520, "fy": 520, "cx": 330, "cy": 235, "width": 640, "height": 480}
 
@@ -59,24 +61,31 @@ def test_neither_stage_nor_camera(tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_from_a_camera_file_to_tracked_pictures(camera, tmp_path, capsys):
+def test_from_a_camera_file_to_tracked_pictures(camera, tmp_path, capsys, monkeypatch):
+    """Ended by Ctrl-C after its steps, and resumed. Ten frames, and more minutes than a few steps take anywhere."""
+
+    def interrupted(*arguments: object, **options: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(fine_tune, "FRAMES_PER_MINUTE", 1)
+    monkeypatch.setattr(fine_tune, "LEAST_FRAMES", 1)
     out = tmp_path / "mine"
-    words = ["train", "--your-camera", camera, "--out", str(out), "--minutes", "1", "--batch", "2"]
+    words = ["train", "--your-camera", camera, "--out", str(out), "--minutes", "10", "--batch", "2"]
     words += ["--iterations", "2", "--workers", "0", "--set", "data.validation=4"]
-    assert main(words) == 0
+    with monkeypatch.context() as patch:
+        patch.setattr(onnx, "export_preset", interrupted)
+        assert main(words) == 130
+    assert main(words) == 2
+    assert "go on with --resume" in capsys.readouterr().err
+    assert main([*words, "--resume", "--iterations", "3"]) == 0
     assert "weights written to" in capsys.readouterr().out
     card = json.loads((out / "card.json").read_text())
     assert card["name"] == "mine" and card["fine_tuned_from"] == "fast"
     assert card["placement"]["range_errors"] == [0.046, 0.143]
     assert WeightsCard.from_dict(card).decision == read_card(preset_folder("fast")).decision
     assert set(card["int8"]) == {"hand_seg_net", "pose_net_2d"}
-    assert card["training"]["pose_net_3d"]["iterations"] == 2
+    assert [card["training"][name]["iterations"] for name in ("pose_net_2d", "pose_net_3d")] == [3, 3]
     assert str(tmp_path) not in (out / "card.json").read_text()
-
-    assert main(words) == 2
-    assert "go on with --resume" in capsys.readouterr().err
-    assert main([*words, "--resume", "--iterations", "3"]) == 0
-    assert json.loads((out / "card.json").read_text())["training"]["pose_net_2d"]["iterations"] == 3
 
     picture = next(examples_folder().glob("*.png"))
     assert main(["track", str(picture), "--weights", str(out), "--out", str(tmp_path / "tracked"), "--json"]) == 0
