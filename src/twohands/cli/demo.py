@@ -54,5 +54,5 @@ def run(args: DemoArgs) -> int:
         source="examples",
     )
     print_table(record)
-    print(f"overlays, three-view figures and hands.json written to {args.out.resolve()}")
+    print(f"results written to {args.out.resolve()}")
     return 0
