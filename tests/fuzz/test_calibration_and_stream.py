@@ -112,7 +112,7 @@ def test_a_server_that_gets_damaged_messages_goes_on():
                     client.send(damaged_text(TEXTS[seed % len(TEXTS)], rng).decode(errors="replace"))
                     client.send(damaged_bytes(PICTURES[seed % 3], rng))
                     client.send('{"end": true}')
-                    client.ping().wait(300)
+                    client.ping(ack_on_close=True).wait(300)  # without it, who is sent away waits for ever
                     client.send("over")
                     while True:
                         assert json.loads(client.recv(timeout=300))
