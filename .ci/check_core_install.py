@@ -11,8 +11,7 @@ from importlib import resources
 from pathlib import Path
 
 MAX_IMPORT_S = 0.5
-MAX_TRACK_S = 15.0
-"""It takes some 3 s of one core that others want, too; this leaves room for slower ones."""
+MAX_TRACK_S = 5.0
 MAX_MEMORY_BYTES = 1e9
 EXTRAS = (
     "torch",

@@ -27,7 +27,6 @@ import numpy as np
 import torch
 from benchmarks import real_pictures
 from benchmarks.real_pictures import SHARED, Part
-from benchmarks.real_systems import preset_folder
 
 from twohands.errors import TwoHandsError
 from twohands.geometry.boxes import apply_homography
@@ -35,7 +34,7 @@ from twohands.inference.detection import HandFinder
 from twohands.inference.engine import load_networks
 from twohands.inference.estimator import HandEstimator
 from twohands.inference.stages import StageTruth
-from twohands.inference.weights import DEFAULT_PRESET, read_card
+from twohands.inference.weights import DEFAULT_PRESET, preset_folder, read_card
 from twohands.models.checkpoint import load_network
 from twohands.models.pose_net_2d import PoseNet2D
 from twohands.skeleton import N_JOINTS, SIDES
@@ -143,7 +142,8 @@ def main() -> int:
     chosen = [(part(args.shared), None) for part in parts] if args.shared.is_dir() else []
     chosen += [(real_pictures.generated(folder, folder.name), args.count) for folder in args.generated]
     folder = preset_folder(args.weights)
-    card, segmenting = read_card(folder), load_networks(folder, read_card(folder), args.threads)
+    card = read_card(folder)
+    segmenting = load_networks(folder, card, args.threads)
     crops: dict[int, dict[str, list[KnownCrop]]] = {}
     for path in args.networks:
         network = load_network("pose_net_2d", path).eval()

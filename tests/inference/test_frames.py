@@ -85,14 +85,14 @@ def test_lost_frames_are_counted_where_the_file_says_how_many_it_has(tmp_path: P
         ("camera:77", "no such camera"),
     ],
 )
-def test_what_cannot_be_opened_is_one_line_soon(source, message, tmp_path: Path, monkeypatch):
+def test_what_cannot_be_opened_is_one_line_within_5_seconds(source, message, tmp_path: Path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("text.mp4").write_text("no video")
     Path("empty.mp4").write_bytes(b"")
     started = time.monotonic()
     with pytest.raises(InputError, match=message) as error:
         open_frames(source)
-    assert time.monotonic() - started < 30 and "\n" not in str(error.value)
+    assert time.monotonic() - started < 5 and "\n" not in str(error.value)
 
 
 IMPOSSIBLE = [{"start_s": -1.0}, {"start_s": 2.0, "end_s": 1.0}, {"end_s": math.nan}, {"stride": 0}]
