@@ -72,6 +72,9 @@ class DataConfig:
     """How often a picture, once made, is used, some steps apart and with other random changes: where making pictures
     takes as long as learning from them, steps are cheaper (Choi et al., "Faster neural network training with data
     echoing", 2019)."""
+    replay: int = 1
+    """Steps for each batch that is made, on rows of it and of those before it that are changed on the device
+    (`training.replay`): for a GPU, which takes many in the time that one batch is made."""
     segmentation: str = ""
     """Pose stages: checkpoint of a trained HandSegNet whose masks and boxes are mixed in (`AugmentConfig.predicted`),
     and from which validation crops; empty for true masks alone."""
@@ -85,7 +88,7 @@ class DataConfig:
         for name in ("validation", "seed", "workers"):
             if getattr(self, name) < 0:
                 raise InputError(f"data.{name} must not be negative, got {getattr(self, name)}")
-        for name in ("variants", "echo"):
+        for name in ("variants", "echo", "replay"):
             if getattr(self, name) < 1:
                 raise InputError(f"data.{name} must be at least 1, got {getattr(self, name)}")
 

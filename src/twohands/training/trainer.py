@@ -25,6 +25,7 @@ from twohands.training.config import OptimConfig, TrainConfig
 from twohands.training.loading import batch_loader, validation_batches
 from twohands.training.log import RunLog, Running, cut_log
 from twohands.training.parallel import process_layout, share_batch_norm
+from twohands.training.replay import replayed
 from twohands.training.schedule import learning_rate, progress, update_average
 from twohands.training.segmenter import OpenSegmentation, Segmenter
 from twohands.training.stage import Stage
@@ -71,9 +72,9 @@ def train(
     The folder holds `config.json`, `log.csv` (iteration, minutes, split, metric, value), the resumable
     `state.safetensors`, and one `<network>.safetensors` per trained network.
 
-    On one CPU process without a limit of minutes, a run that was interrupted, even killed, and resumed ends bitwise
-    like one that was not. Under `torchrun`, several processes share every batch and end, to rounding, like one; all of
-    them must see `out` and the pictures. Only the first one validates, writes and reports.
+    On one CPU process without a limit of minutes or replay, a run that was interrupted, even killed, and resumed ends
+    bitwise like one that was not. Under `torchrun`, several processes share every batch and end, to rounding, like one
+    (without replay); all of them must see `out` and the pictures. Only the first one validates, writes and reports.
 
     Args:
         config: the run.
@@ -141,9 +142,11 @@ def train(
     if state.iteration == 0:
         check()  # where the run starts from
     interrupted = False
+    uses = config.data.replay
+    made = batch_loader(batches, state.iteration // uses)
     clock, saved = time.monotonic() - state.elapsed_s, time.monotonic()
     with _StopSignal() as stop:
-        for making_s, batch in batch_loader(batches, state.iteration):
+        for making_s, batch in replayed(made, uses, config.stage, config.seed + state.iteration, fabric.to_device):
             if isinstance(batch, TwoHandsError):
                 keep()
                 raise batch
