@@ -170,7 +170,7 @@ def recoloured(image: Tensor, rng: torch.Generator) -> Tensor:
 
     Args:
         image: (B, H, W, 3) uint8.
-        rng: of the CPU.
+        rng: of the CPU; the noise is drawn where the pictures are, by torch's own generator there.
 
     Returns:
         (B, H, W, 3) uint8; black stays black before the noise.
