@@ -5,6 +5,7 @@ from itertools import count, islice
 
 import pytest
 import torch
+from tests.training.test_batches import Counted
 from tests.training.test_trainer import SAMPLES, start_weights
 from tests.training.tiny import tiny_run
 
@@ -115,28 +116,14 @@ def test_colours_change_and_black_stays_black():
     assert changed_crops(crops, torch.Generator().manual_seed(0))["joints_px"] is crops["joints_px"]
 
 
-class Counted:
-    """Pictures that count how often they are asked for."""
-
-    def __init__(self) -> None:
-        self.asked = count()
-
-    def __len__(self) -> int:
-        return len(SAMPLES)
-
-    def __getitem__(self, index: int):
-        next(self.asked)
-        return SAMPLES[index]
-
-
 @pytest.mark.parametrize("stage", ["hand_seg_net", "pose_net_3d"])
 def test_a_run_makes_fewer_pictures_than_it_learns_from(tmp_path, stage):
     config = tiny_run(stage, iterations=9)
     config = dataclasses.replace(config, data=dataclasses.replace(config.data, replay=3, empty=0.0))
-    source = Counted()
+    source = Counted(6)
     result = train(config, source, [], tmp_path / "run", weights=start_weights(stage, tmp_path))
     assert result.iterations == 9
-    assert next(source.asked) <= 4 * config.batch_images  # three batches; a loader may be one ahead
+    assert sum(source.made) <= 4 * config.batch_images  # three batches; a loader may be one ahead
     resumed = dataclasses.replace(config, iterations=12)
     assert train(resumed, source, [], tmp_path / "run", resume=True).iterations == 12
 

@@ -133,8 +133,8 @@ def changed_pictures(batch: Batch, rng: torch.Generator) -> Batch:
         corners = (boxes.view(count, 2, 2, 2) - middle) * scale[:, None, None, None] + place[:, None, None]
         return corners.view(count, 2, 4)
 
-    clipped = _clipped(moved(scale, shift), size)
-    stays = (_area(clipped) >= STAYS * _area(moved(scale, shift))) | ~present
+    whole = moved(scale, shift)
+    stays = (_area(_clipped(whole, size)) >= STAYS * _area(whole)) | ~present
     kept = stays.all(dim=1)
     scale, shift = torch.where(kept, scale, 1.0), torch.where(kept[:, None], shift, 0.0)
     boxes = _clipped(moved(scale, shift), size)
