@@ -19,9 +19,16 @@ RIGHT_COLOUR, LEFT_COLOUR = 220, 120
 
 
 def rows(first: int, number: int) -> dict[str, torch.Tensor]:
-    """A batch whose fields all tell the row's number."""
+    """A batch whose pictures tell the row's number, and with it what crops have."""
     numbers = torch.arange(first, first + number)
-    return {"image": numbers.view(-1, 1, 1, 1).expand(-1, 2, 2, 3).to(torch.uint8), "number": numbers}
+    return {
+        "image": numbers.view(-1, 1, 1, 1).expand(-1, 2, 2, 3).to(torch.uint8),
+        "number": numbers,
+        "joints_px": torch.zeros(number, 21, 2),
+        "weight": torch.zeros(number, 21),
+        "rays_from_crop": torch.eye(3).repeat(number, 1, 1),
+        "image_from_crop": torch.eye(3).repeat(number, 1, 1),
+    }
 
 
 def numbers_of(batch: Batch | TwoHandsError) -> list[int]:
@@ -112,8 +119,44 @@ def test_colours_change_and_black_stays_black():
     changed = recoloured(image, torch.Generator().manual_seed(0)).float().mean(dim=(1, 2))
     assert changed.std(dim=0).min() > 2 and (changed.mean() - 128).abs() < 12
     assert recoloured(torch.zeros_like(image), torch.Generator().manual_seed(0)).float().mean() < 3
-    crops = {"image": image, "joints_px": torch.ones(16, 21, 2)}
-    assert changed_crops(crops, torch.Generator().manual_seed(0))["joints_px"] is crops["joints_px"]
+
+
+def test_crops_and_joints_change_together():
+    """Four bright spots stay under their joints; rays and pixels of the picture that belong to a joint stay its own."""
+    spots = torch.tensor([[30.0, 40.0], [90.0, 35.0], [50.0, 100.0], [1.0, 64.0]])
+    image = torch.zeros(12, 128, 128, 3, dtype=torch.uint8)
+    for u, v in spots.int().tolist():
+        image[:, v - 1 : v + 1, max(u - 1, 0) : u + 1] = 255
+    homography = torch.tensor([[2.0, 0.1, 30.0], [-0.1, 2.0, 50.0], [1e-4, 2e-4, 1.0]])
+    rays = torch.tensor([[0.01, 0.0, -0.6], [0.0, 0.01, -0.7], [0.0, 0.0, 1.0]])
+    crops = {
+        "image": image,
+        "joints_px": spots.expand(12, 4, 2),
+        "weight": torch.ones(12, 4),
+        "rays_from_crop": rays.expand(12, 3, 3),
+        "image_from_crop": homography.expand(12, 3, 3),
+    }
+
+    def through(matrices: torch.Tensor, points: torch.Tensor) -> torch.Tensor:
+        ends = torch.cat([points, torch.ones_like(points[..., :1])], dim=-1) @ matrices.transpose(1, 2)
+        return ends[..., :2] / ends[..., 2:]
+
+    changed = changed_crops(crops, torch.Generator().manual_seed(0))
+    seen = changed["weight"] > 0
+    assert 0 < (~seen).sum() < 12 and seen[:, :3].all()
+    assert (changed["joints_px"][~seen] == 0).all()
+    for field in ("rays_from_crop", "image_from_crop"):
+        before, after = through(crops[field], crops["joints_px"]), through(changed[field], changed["joints_px"])
+        torch.testing.assert_close(after[seen], before[seen], rtol=1e-4, atol=1e-3)
+    grid = torch.stack(torch.meshgrid(torch.arange(128), torch.arange(128), indexing="xy"), dim=-1) + 0.5
+    for bright, joints in zip(changed["image"].float().mean(dim=-1), changed["joints_px"], strict=True):
+        for joint in joints[:3]:
+            near = bright * ((grid - joint).norm(dim=-1) < 6)
+            middle = (near[..., None] * grid).sum(dim=(0, 1)) / near.sum()
+            assert (middle - joint).norm() < 0.3
+    scales = (changed["joints_px"][:, 1] - changed["joints_px"][:, 0]).norm(dim=-1) / (spots[1] - spots[0]).norm()
+    assert scales.min() < 0.96 and scales.max() > 1.04
+    assert torch.equal(crops["image"], image)
 
 
 @pytest.mark.parametrize("stage", ["hand_seg_net", "pose_net_3d"])

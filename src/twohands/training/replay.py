@@ -24,6 +24,8 @@ SHIFT = 0.08
 """Largest shift of a picture, as a fraction of its size."""
 STAYS = 0.6
 """A change that leaves less of a hand's box in the picture is not made: what is to be seen of the hand is unknown."""
+CROP_ZOOM, CROP_SHIFT = 0.12, 0.04
+"""The same two of a crop; its masks were cut for another box only in training (`CropConfig`), so they are small."""
 GAIN = 0.1
 """Largest relative change of a colour channel."""
 GAMMA = 0.25
@@ -103,13 +105,38 @@ def replayed(
 
 
 def changed_crops(batch: Batch, rng: torch.Generator) -> Batch:
-    """Crops of hands in other colours; where their joints are stays.
+    """Crops of hands, nearer or farther, moved, in other colours.
+
+    A crop that is zoomed and moved is what the same camera sees through another cut: the pose and the distance stay.
 
     Args:
         batch: of `batches.pose_batch`, not changed.
         rng: of the CPU.
     """
-    return batch | {"image": recoloured(batch["image"], rng)}
+    image, joints = batch["image"], batch["joints_px"]
+    count, size = len(image), image.shape[2]
+    scale = torch.exp2((2 * torch.rand(count, generator=rng) - 1) * CROP_ZOOM).to(image.device)
+    shift = ((2 * torch.rand(count, 2, generator=rng) - 1) * CROP_SHIFT * size).to(image.device)
+    # Pixels of the old crop from those of the new one.
+    old_from_new = torch.zeros(count, 3, 3, device=image.device)
+    old_from_new[:, 0, 0] = old_from_new[:, 1, 1] = 1 / scale
+    old_from_new[:, :2, 2] = size / 2 - (size / 2 + shift) / scale[:, None]
+    old_from_new[:, 2, 2] = 1
+    matrix = old_from_new[:, :2].clone()
+    matrix[:, :, 2] = -2 * shift / (size * scale[:, None])
+    grid = functional.affine_grid(matrix, [count, 1, size, size], align_corners=False)
+    pixels = image.permute(0, 3, 1, 2).float()
+    moved = functional.grid_sample(pixels, grid, "bilinear", padding_mode="border", align_corners=False)
+    joints = size / 2 + shift[:, None] + (joints - size / 2) * scale[:, None, None]
+    inside = ((joints >= 0) & (joints < size)).all(dim=-1)
+    weight = batch["weight"] * inside
+    return batch | {
+        "image": recoloured(moved.round().to(torch.uint8).permute(0, 2, 3, 1), rng),
+        "joints_px": torch.where(weight[..., None] > 0, joints, 0.0),
+        "weight": weight,
+        "rays_from_crop": batch["rays_from_crop"] @ old_from_new,
+        "image_from_crop": batch["image_from_crop"] @ old_from_new,
+    }
 
 
 def changed_pictures(batch: Batch, rng: torch.Generator) -> Batch:
