@@ -1,5 +1,7 @@
 """Laws of gestures, on the average body and a trunk made of points."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -44,6 +46,14 @@ def test_most_people_can_make_every_gesture(gesture):
         goal = gesture(stage(RIGHT), np.random.default_rng(seed))
         fits.append(arm_goals.solved(ArmAnatomy(BODY, RIGHT), goal, STILL).fits.any())
     assert np.mean(fits) > 0.6
+
+
+@pytest.mark.parametrize("gesture", [gestures.shown, gestures.open_palm], ids=lambda gesture: gesture.__name__)
+def test_short_arms_show_hands_too(gesture):
+    """Frames of people with seed 90006 ended at a person whose arms were shorter than the nearest place."""
+    short = replace(stage(RIGHT), reach_m=0.28)
+    for seed in range(12):
+        assert np.isfinite(gesture(short, np.random.default_rng(seed)).place).all()
 
 
 @pytest.mark.parametrize("pair", BOTH_HANDS, ids=lambda pair: pair.__name__)

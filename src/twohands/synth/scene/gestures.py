@@ -156,7 +156,7 @@ def shown(stage: Stage, rng: np.random.Generator, angles: HandAngles | None = No
     if close:  # towards the lens
         place = stage.shoulder + unit(
             stage.camera - stage.shoulder + rng.normal(0, 0.12, (CANDIDATES, 3))
-        ) * rng.uniform(0.3, stage.reach_m, (CANDIDATES, 1))
+        ) * rng.uniform(min(0.3, stage.reach_m), stage.reach_m, (CANDIDATES, 1))
     to_camera = unit(stage.camera - place)
     facing = to_camera * (1 if rng.random() < 0.7 else -1)
     along = near(rng, [rng.normal(0, 0.3), -1, rng.normal(0.1, 0.2)], 0.15)
