@@ -55,7 +55,7 @@ PAPER = NetworkConfigs()
 """The paper's networks (sections 4.1 to 4.3)."""
 
 SLIM = NetworkConfigs(
-    HandSegNetConfig("efficientnet-lite0", height=192, width_px=352),
+    HandSegNetConfig("efficientnet-lite0", height=192, width_px=352, context=2),
     PoseNet2DConfig(
         "encoder-decoder", crop_size=128, stages=1, width=1.25, activation="softmax", sigma=1.5, judge=True, cues=8
     ),
