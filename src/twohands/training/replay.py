@@ -25,7 +25,7 @@ SHIFT = 0.08
 STAYS = 0.6
 """A change that leaves less of a hand's box in the picture is not made: what is to be seen of the hand is unknown."""
 CROP_ZOOM, CROP_SHIFT = 0.12, 0.04
-"""The same two of a crop; its masks were cut for another box only in training (`CropConfig`), so they are small."""
+"""The same two of a crop: small, because in use the box that it is cut by is hardly off."""
 GAIN = 0.1
 """Largest relative change of a colour channel."""
 GAMMA = 0.25
@@ -115,18 +115,13 @@ def changed_crops(batch: Batch, rng: torch.Generator) -> Batch:
     """
     image, joints = batch["image"], batch["joints_px"]
     count, size = len(image), image.shape[2]
-    scale = torch.exp2((2 * torch.rand(count, generator=rng) - 1) * CROP_ZOOM).to(image.device)
-    shift = ((2 * torch.rand(count, 2, generator=rng) - 1) * CROP_SHIFT * size).to(image.device)
-    # Pixels of the old crop from those of the new one.
+    scale, shift = _drawn_moves(count, CROP_ZOOM, CROP_SHIFT, rng, image.device)
+    moved = _sampled(image.permute(0, 3, 1, 2), _sources(scale, shift), "bilinear")
+    shift = shift * size
     old_from_new = torch.zeros(count, 3, 3, device=image.device)
     old_from_new[:, 0, 0] = old_from_new[:, 1, 1] = 1 / scale
     old_from_new[:, :2, 2] = size / 2 - (size / 2 + shift) / scale[:, None]
     old_from_new[:, 2, 2] = 1
-    matrix = old_from_new[:, :2].clone()
-    matrix[:, :, 2] = -2 * shift / (size * scale[:, None])
-    grid = functional.affine_grid(matrix, [count, 1, size, size], align_corners=False)
-    pixels = image.permute(0, 3, 1, 2).float()
-    moved = functional.grid_sample(pixels, grid, "bilinear", padding_mode="border", align_corners=False)
     joints = size / 2 + shift[:, None] + (joints - size / 2) * scale[:, None, None]
     inside = ((joints >= 0) & (joints < size)).all(dim=-1)
     weight = batch["weight"] * inside
@@ -149,8 +144,7 @@ def changed_pictures(batch: Batch, rng: torch.Generator) -> Batch:
     image, classes, boxes, present = (batch[name] for name in ("image", "classes", "boxes_px", "present"))
     count, height, width = classes.shape
     flip = (torch.rand(count, generator=rng) < 0.5).to(image.device)
-    scale = torch.exp2((2 * torch.rand(count, generator=rng) - 1) * ZOOM).to(image.device)
-    shift = ((2 * torch.rand(count, 2, generator=rng) - 1) * SHIFT).to(image.device)
+    scale, shift = _drawn_moves(count, ZOOM, SHIFT, rng, image.device)
     size = torch.tensor([width, height], dtype=torch.float32, device=image.device)
     middle = size / 2
 
@@ -166,18 +160,10 @@ def changed_pictures(batch: Batch, rng: torch.Generator) -> Batch:
     scale, shift = torch.where(kept, scale, 1.0), torch.where(kept[:, None], shift, 0.0)
     boxes = _clipped(moved(scale, shift), size)
 
-    # Where every pixel comes from, in units of grid_sample: -1 to 1 from border to border.
-    matrix = torch.zeros(count, 2, 3, device=image.device)
-    matrix[:, 0, 0] = matrix[:, 1, 1] = 1 / scale
-    matrix[:, :, 2] = -2 * shift / scale[:, None]
+    matrix = _sources(scale, shift)
     matrix[flip, 0] = matrix[flip, 0] * torch.tensor([-1.0, 1.0, 1.0], device=image.device)
-    grid = functional.affine_grid(matrix, [count, 1, height, width], align_corners=False)
-
-    def sampled(values: Tensor, mode: str) -> Tensor:
-        return functional.grid_sample(values.float(), grid, mode, padding_mode="border", align_corners=False)
-
-    image = sampled(image.permute(0, 3, 1, 2), "bilinear").round().to(torch.uint8).permute(0, 2, 3, 1)
-    classes = sampled(classes[:, None], "nearest")[:, 0].to(torch.uint8)
+    image = _sampled(image.permute(0, 3, 1, 2), matrix, "bilinear").round().to(torch.uint8).permute(0, 2, 3, 1)
+    classes = _sampled(classes[:, None], matrix, "nearest")[:, 0].to(torch.uint8)
     other = torch.tensor([0, 2, 1], dtype=torch.uint8, device=image.device)
     classes = torch.where(flip[:, None, None], other[classes.long()], classes)
     mirrored = boxes.flip(1) * torch.tensor([-1.0, 1.0, -1.0, 1.0], device=image.device)
@@ -212,6 +198,30 @@ def recoloured(image: Tensor, rng: torch.Generator) -> Tensor:
     values = (image.float() / 255) ** gamma * gain
     values = values + sigma * torch.randn(image.shape, device=image.device)
     return (values.clamp(0, 1) * 255).round().to(torch.uint8)
+
+
+def _drawn_moves(
+    count: int, zoom: float, shift: float, rng: torch.Generator, device: torch.device
+) -> tuple[Tensor, Tensor]:
+    """Scales (N,), by at most so much in log2, and shifts (N, 2) as fractions of the size, for as many pictures."""
+    scales = torch.exp2((2 * torch.rand(count, generator=rng) - 1) * zoom)
+    shifts = (2 * torch.rand(count, 2, generator=rng) - 1) * shift
+    return scales.to(device), shifts.to(device)
+
+
+def _sources(scale: Tensor, shift: Tensor) -> Tensor:
+    """(N, 2, 3) matrices that say where every pixel comes from, in grid_sample's units, -1 to 1 from border to border,
+    for pictures scaled (N,) about their middle and shifted (N, 2), as fractions of their size."""
+    matrix = torch.zeros(len(scale), 2, 3, device=scale.device)
+    matrix[:, 0, 0] = matrix[:, 1, 1] = 1 / scale
+    matrix[:, :, 2] = -2 * shift / scale[:, None]
+    return matrix
+
+
+def _sampled(values: Tensor, sources: Tensor, mode: str) -> Tensor:
+    """Pictures (N, C, H, W) taken from where `_sources` says; the edge goes on outside."""
+    grid = functional.affine_grid(sources, [len(values), 1, *values.shape[2:]], align_corners=False)
+    return functional.grid_sample(values.float(), grid, mode, padding_mode="border", align_corners=False)
 
 
 def _clipped(boxes: Tensor, size: Tensor) -> Tensor:
