@@ -1,5 +1,5 @@
-"""Fits the `range_errors` and `range_sigma` of a preset's card (`inference.placement`) to labelled pictures that it was
-not trained on.
+"""Fits the `placement` of a preset's card to labelled pictures that it was not trained on: which ranges are usual, what
+is wrong with estimated ones, `range_errors`, and what is said of that, `range_sigma`.
 
     python scripts/fit_range_errors.py src/twohands/weights/fast --data SET SET_2 --backgrounds PHOTOS [--write]
 
@@ -39,9 +39,13 @@ ROUNDS: Final = 4
 BARS_M: Final = (0.035, 0.0525, 0.07)
 WITHIN: Final = 0.683
 """Share of errors that lie within one standard deviation."""
+EVENNESS: Final = 10.0
+"""What the square of the farthest share's distance from `WITHIN` costs beside a mean logarithm of likelihood."""
 POWERS: Final = np.linspace(0, 1.5, 16)
 SPAN_POWERS: Final = np.linspace(-3, 3, 13)
 CARD: Final = "card.json"
+FITTED: Final = ("usual_range_m", "usual_spread", "correlation", "range_errors", "range_sigma")
+"""Of `PlacementConfig`."""
 
 
 class Ranges(NamedTuple):
@@ -82,14 +86,17 @@ def main() -> int:
             found_in(estimator, itertools.islice(samples_of(folder, options.backgrounds), options.count))
             for folder in options.data
         ]
-        errors = fitted([one for found in sets for one in found])
-        off = [said_errors(found, errors) for found in sets]
+        usual = usual_ranges(sets)
+        errors = fitted([one for found in sets for one in found], usual)
+        config = dataclasses.replace(usual, range_errors=errors)
+        off = [said_errors(found, config) for found in sets]
         sigma = fitted_sigma(off)
-        said = {"range_errors": [round(value, 3) for value in errors], "range_sigma": [round(v, 3) for v in sigma]}
+        config = dataclasses.replace(config, range_sigma=sigma)
+        said = {name: np.round(getattr(config, name), 3).tolist() for name in FITTED}
         print(json.dumps(said))
         for folder, found, one in zip(options.data, sets, off, strict=True):
-            print(f"{folder.name}: {len(one.errors)} hands, {share_within(one, sigma):.3f} within one sigma")
-            print_errors(found, errors)
+            print(f"{folder.name}: {len(one.errors)} hands, {share_within(one, config):.3f} within one sigma")
+            print_errors(found, config)
         if options.write:
             write_to_card(options.preset / CARD, said)
     except TwoHandsError as error:
@@ -146,74 +153,89 @@ def misfit_of(hand: HandPose, camera: PinholeCamera) -> float:
     return float(palm_misfit(hand.canonical[None], hand.joints_px[None], camera, np.array([length]), place)[0])
 
 
-def likely(found: Ranges, errors: tuple[float, float] | None) -> np.ndarray:
-    """(B,) metres: `posterior_ranges`, or as estimated."""
-    return posterior_ranges(found.estimated, found.scores, PlacementConfig(range_errors=errors))
+def likely(found: Ranges, config: PlacementConfig) -> np.ndarray:
+    """(B,) metres: `posterior_ranges`."""
+    return posterior_ranges(found.estimated, found.scores, config)
 
 
-def fitted(found: Sequence[Ranges]) -> tuple[float, float]:
-    """The two numbers with the least mean loss of the ranges' logarithms.
+def usual_ranges(sets: Sequence[Sequence[Ranges]]) -> PlacementConfig:
+    """Mean, spread and correlation of the true ranges' logarithms; every set counts alike, for the correlation every
+    set with pictures of both hands. Without any, what is known of both is as it was.
 
     Raises:
         InputError: there is no hand.
     """
-    if not found:
+    logs = [np.log(np.concatenate([one.true for one in found] or [np.zeros(0)])) for found in sets]
+    logs = [known[np.isfinite(known)] for known in logs]
+    if not any(len(known) for known in logs):
         raise InputError("no labelled hand was found in these pictures")
+    logs = [known for known in logs if len(known)]
+    mean = np.mean([known.mean() for known in logs])
+    variance = np.mean([((known - mean) ** 2).mean() for known in logs])
+    pairs = [[np.log(one.true) - mean for one in found if np.isfinite(one.true).sum() == 2] for found in sets]
+    together = [np.prod(off, axis=1).mean() for off in pairs if off]
+    config = PlacementConfig(usual_range_m=float(np.exp(mean)), usual_spread=float(np.sqrt(variance)))
+    return dataclasses.replace(config, correlation=float(np.mean(together) / variance)) if together else config
+
+
+def fitted(found: Sequence[Ranges], usual: PlacementConfig) -> tuple[float, float]:
+    """The `range_errors` with the least mean loss of the ranges' logarithms."""
     best, span = np.log([0.05, 0.1]), np.log(20.0)
     for _ in range(ROUNDS):
         steps = np.linspace(-span, span, STEPS)
         tried = [(float(np.exp(best[0] + a)), float(np.exp(best[1] + b))) for a in steps for b in steps]
-        best = np.log(min(tried, key=lambda errors: loss(found, errors)))
+        best = np.log(min(tried, key=lambda errors: loss(found, dataclasses.replace(usual, range_errors=errors))))
         span /= 3
     return float(np.exp(best[0])), float(np.exp(best[1]))
 
 
-def loss(found: Sequence[Ranges], errors: tuple[float, float]) -> float:
+def loss(found: Sequence[Ranges], config: PlacementConfig) -> float:
     """Mean smoothed size of the errors of the likely ranges' logarithms."""
-    off = np.abs(np.concatenate([np.log(likely(one, errors) / one.true) for one in found]))
+    off = np.abs(np.concatenate([np.log(likely(one, config) / one.true) for one in found]))
     off = off[np.isfinite(off)]
     return float(np.where(off < SMOOTH, off**2 / (2 * SMOOTH), off - SMOOTH / 2).mean())
 
 
-def said_errors(found: Sequence[Ranges], errors: tuple[float, float] | None) -> Off:
+def said_errors(found: Sequence[Ranges], config: PlacementConfig) -> Off:
     """The errors of likely ranges beside what tells how large they are."""
-    off = np.concatenate([np.abs(one.true / likely(one, errors) - 1) for one in found])
+    off = np.concatenate([np.abs(one.true / likely(one, config) - 1) for one in found])
     known = np.isfinite(off)
     told = (np.concatenate([getattr(one, name) for one in found])[known] for name in ("scores", "misfit", "span"))
     return Off(off[known], *told)
 
 
 def fitted_sigma(sets: Sequence[Off]) -> tuple[float, float, float, float]:
-    """`range_sigma`: the powers under which errors over their standard deviation are likeliest, taken for Laplacian,
-    and the share within which 68.3 % of them lie; every set counts alike."""
+    """`range_sigma`: the share within which 68.3 % of the errors lie, and the powers under which errors over their
+    standard deviation are likeliest, taken for Laplacian, while no set's share is far from that of all (`EVENNESS`).
+    Every set counts alike."""
     off = Off(*(np.concatenate(parts) for parts in zip(*sets, strict=True)))
     weights = np.concatenate([np.full(len(one.errors), 1 / len(one.errors)) for one in sets])
     weights /= weights.sum()
 
-    def shape(powers: tuple[float, float, float]) -> np.ndarray:
+    def fit(powers: tuple[float, float, float]) -> tuple[float, tuple[float, float, float, float]]:
+        """What the powers lack, and `range_sigma` with them."""
         config = PlacementConfig(range_sigma=(1.0, *powers), usual_spread=np.inf)
-        return range_sigma(off.scores, off.misfit, off.span, config)
+        sigma = range_sigma(off.scores, off.misfit, off.span, config)
+        over = off.errors / sigma
+        order = np.argsort(over)
+        share = over[order][np.searchsorted(np.cumsum(weights[order]), WITHIN)]
+        parts = np.split(over < share, np.cumsum([len(one.errors) for one in sets])[:-1])
+        uneven = max(abs(part.mean() - WITHIN) for part in parts)
+        lack = np.log(weights @ over) + weights @ np.log(sigma) + EVENNESS * uneven**2
+        return float(lack), (float(share), *powers)
 
-    def lack(powers: tuple[float, float, float]) -> float:
-        sigma = shape(powers)
-        return float(np.log(weights @ (off.errors / sigma)) + weights @ np.log(sigma))
-
-    best = min(itertools.product(POWERS.tolist(), POWERS.tolist(), SPAN_POWERS.tolist()), key=lack)
-    over = off.errors / shape(best)
-    order = np.argsort(over)
-    share = over[order][np.searchsorted(np.cumsum(weights[order]), WITHIN)]
-    return float(share), *best
+    return min(map(fit, itertools.product(POWERS.tolist(), POWERS.tolist(), SPAN_POWERS.tolist())))[1]
 
 
-def share_within(off: Off, sigma: tuple[float, float, float, float]) -> float:
+def share_within(off: Off, config: PlacementConfig) -> float:
     """How many errors lie within what is said of them."""
-    said = range_sigma(off.scores, off.misfit, off.span, PlacementConfig(range_sigma=sigma))
+    said = range_sigma(off.scores, off.misfit, off.span, config)
     return float((off.errors < said).mean())
 
 
-def print_errors(found: Sequence[Ranges], errors: tuple[float, float]) -> None:
+def print_errors(found: Sequence[Ranges], config: PlacementConfig) -> None:
     """Errors of ranges as projected, and as they are likely."""
-    for name, chosen in (("as projected", None), ("likely", errors)):
+    for name, chosen in (("as projected", dataclasses.replace(config, range_errors=None)), ("likely", config)):
         off = np.concatenate([np.abs(likely(one, chosen) - one.true) for one in found])
         off = off[np.isfinite(off)]
         shares = ", ".join(f"{(off < bar).mean():.4f} within {100 * bar:g} cm" for bar in BARS_M)

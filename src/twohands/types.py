@@ -166,12 +166,14 @@ class HandCrop:
             mirroring, so un-cropping and un-mirroring a point is one call of `geometry.boxes.apply_homography`.
         side: LEFT or RIGHT.
         mirrored: whether the crop was flipped, so that the network sees a left-like hand.
+        roll_deg: of the camera that sees it so, about its line of sight; 0 is that of the picture.
     """
 
     image: np.ndarray
     image_from_crop: np.ndarray
     side: int
     mirrored: bool
+    roll_deg: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

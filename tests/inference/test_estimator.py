@@ -33,7 +33,7 @@ from twohands.inference.estimator import HandEstimator
 from twohands.inference.keypoints import Keypoints, joint_boxes
 from twohands.inference.placement import posterior_ranges
 from twohands.inference.stages import StageTruth
-from twohands.inference.views import with_rolled_views
+from twohands.inference.views import HandViewer
 from twohands.skeleton import LEFT, RIGHT, ROOT
 from twohands.types import HandPose, HandSample, PinholeCamera
 
@@ -317,11 +317,76 @@ def test_a_hand_outside_the_picture_keeps_no_other_from_being_looked_at_again():
         read_out=lambda heatmaps, given: (look.joints_px[:1], look.joint_scores[:1]),
         lift=lambda seen: canonical[seen.sides],
     )
-    again, poses = with_rolled_views(stages, card, sample.image, masks, look, canonical, sample.camera)
+    again, poses = HandViewer(stages, card, sample.image, masks, sample.camera).agreed(look, canonical)
     assert crops == [[LEFT], [LEFT]]
     np.testing.assert_allclose(again.joints_px, look.joints_px, atol=1e-9)
     np.testing.assert_allclose(poses[RIGHT], canonical[RIGHT], atol=1e-12)
     assert np.abs(poses[LEFT] - canonical[LEFT]).max() > 0.01
+
+
+@pytest.mark.parametrize(
+    ("scores", "looks", "counts"),
+    [
+        ((0.5, 0.9), 2, 1),  # upside down it is surer
+        ((0.5, 0.54), 2, 0),  # but hardly
+        ((0.95, 1.0), 1, 0),  # no doubt, no second look
+    ],
+)
+def test_a_doubtful_hand_is_seen_upside_down_too_and_the_surer_view_counts(scores, looks, counts):
+    """Each view puts the joints elsewhere, by 3 pixels; poses come back in the camera of the picture."""
+    sample = drawn_hands(4)
+    card = make_card(turns_deg=(180.0,))
+    oracle = Oracle(sample, card)
+    plain, crops = HandEstimator(oracle.estimator.networks, card).stages, []
+
+    def locate(given):
+        crops.append(given)
+        return oracle.true_maps(given), np.zeros(len(given))
+
+    def read_out(heatmaps, given):
+        joints_px, _ = plain.read_out(heatmaps, given)
+        view = len(crops) - 1
+        return joints_px + np.array([3.0 * view, 0.0]), np.full(joints_px.shape[:2], scores[view])
+
+    def lift(keypoints):
+        rolls = [rotation_about_z(np.radians(crop.roll_deg)) for crop in keypoints.crops]
+        joints_m = [sample.joints_m[crop.side] @ roll.T for crop, roll in zip(keypoints.crops, rolls, strict=True)]
+        return canonical_from_camera(np.array(joints_m)).joints
+
+    estimator = restaged(HandEstimator(oracle.estimator.networks, card), locate=locate, read_out=read_out, lift=lift)
+    pose = estimator.estimate(sample.image, sample.camera, HAND_LENGTH_M)
+    assert [[crop.roll_deg for crop in given] for given in crops] == [[0.0, 0.0], [180.0, 180.0]][:looks]
+    for side, hand in enumerate(pose.hands):
+        np.testing.assert_allclose(hand.joints_px, sample.joints_px[side] + np.array([3.0 * counts, 0.0]), atol=0.3)
+        np.testing.assert_allclose(hand.joint_scores, scores[counts])
+        np.testing.assert_allclose(hand.canonical, oracle.canonical[side], atol=0.05)
+
+
+def test_of_all_turned_views_the_surest_counts_for_each_hand():
+    sample = drawn_hands(4)
+    card = make_card(turns_deg=(90.0, 180.0))
+    oracle = Oracle(sample, card)
+    estimator = HandEstimator(oracle.estimator.networks, card)
+    masks, boxes = estimator.segment(sample.image)
+    look = keypoints_of(estimator, sample, masks, boxes.boxes_px)
+    sure = {0.0: (0.5, 0.5), 90.0: (0.9, 0.6), 180.0: (0.7, 0.8)}
+
+    def read_out(heatmaps, given):
+        scores = [np.full(21, sure[crop.roll_deg][crop.side]) for crop in given]
+        return np.array([look.joints_px[crop.side] for crop in given]), np.array(scores)
+
+    stages = dataclasses.replace(
+        estimator.stages,
+        locate=lambda given: (look.heatmaps, look.hand_logits),
+        read_out=read_out,
+        lift=lambda seen: oracle.canonical[seen.sides],
+    )
+    first = dataclasses.replace(look, joint_scores=np.full((2, 21), 0.5))
+    viewer = HandViewer(stages, card, sample.image, masks, sample.camera)
+    seen, _ = viewer.turned(first, oracle.canonical)
+    assert [crop.roll_deg for crop in seen.crops] == [90.0, 180.0]
+    np.testing.assert_array_equal(seen.sides, [LEFT, RIGHT])
+    np.testing.assert_allclose(seen.joint_scores.mean(axis=1), [0.9, 0.8])
 
 
 def test_mirrored_picture_gives_the_mirrored_result_with_hands_swapped():
@@ -778,7 +843,7 @@ def test_a_rolled_look_without_line_of_sight_does_not_cost_the_hand_its_pose():
         read_out=lambda heatmaps, crops: (away, faint),
         lift=lambda seen: canonical,
     )
-    again, poses = with_rolled_views(stages, card, sample.image, masks, look, canonical, camera)
+    again, poses = HandViewer(stages, card, sample.image, masks, camera).agreed(look, canonical)
     assert np.isfinite(poses).all() and np.isfinite(again.joints_px).all()
     np.testing.assert_allclose(np.delete(again.joint_scores.ravel(), LEFT * 21 + ROOT), np.sqrt((1 + 0.4 + 0.4) / 3))
     assert again.joint_scores[LEFT, ROOT] < 0.1  # the looks do not agree where it is

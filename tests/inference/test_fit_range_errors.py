@@ -1,5 +1,6 @@
 """`scripts/fit_range_errors.py`: what it finds where it is known, and what it cannot begin with."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -13,6 +14,7 @@ from scripts.fit_range_errors import (
     main,
     ranges_in,
     share_within,
+    usual_ranges,
     write_to_card,
 )
 from tests.oracles import Oracle, drawn_hands, make_card
@@ -38,16 +40,41 @@ def pictures(count, errors, rng):
 def test_the_errors_with_which_estimates_were_made_are_found_again():
     errors = (0.12, 0.25)
     found = pictures(250, errors, np.random.default_rng(4))
-    best = fitted(found)
+    best = fitted(found, PRIOR)
     np.testing.assert_allclose(best, errors, rtol=0.3)
-    assert loss(found, best) <= loss(found, errors) < loss(found, (1e-6, 1e-6))
+    losses = [loss(found, dataclasses.replace(PRIOR, range_errors=each)) for each in (best, errors, (1e-6, 1e-6))]
+    assert losses[0] <= losses[1] < losses[2]
+
+
+def test_usual_ranges_are_found_again_and_a_set_counts_as_much_as_a_larger_one():
+    rng = np.random.default_rng(6)
+    near, far = (
+        [scaled(one, factor) for one in pictures(count, (0.1, 0.2), rng)] for factor, count in ((0.5, 4000), (2.0, 500))
+    )
+    usual = usual_ranges([near, far])
+    assert usual.usual_range_m == pytest.approx(PRIOR.usual_range_m, rel=0.05)
+    apart = np.log(2) ** 2  # variance of the sets' means
+    variance = PRIOR.usual_spread**2 + apart
+    assert usual.usual_spread == pytest.approx(np.sqrt(variance), rel=0.05)
+    shared = PRIOR.correlation * PRIOR.usual_spread**2 + apart
+    assert usual.correlation == pytest.approx(shared / variance, rel=0.05)
+
+
+def test_of_single_hands_the_correlation_is_left_as_it_was():
+    single = Ranges(np.array([0.5]), np.full((1, 21), 0.7), np.array([0.45]), np.full(1, 0.02), np.full(1, 0.4))
+    assert usual_ranges([[single], []]).correlation == PRIOR.correlation
+
+
+def scaled(one: Ranges, factor: float) -> Ranges:
+    """The same hands, farther by a factor."""
+    return one._replace(estimated=factor * one.estimated, true=factor * one.true)
 
 
 def test_a_hand_that_is_not_there_has_no_say():
     one = Ranges(
         np.array([0.5, 0.9]), np.full((2, 21), 0.7), np.array([0.45, np.nan]), np.full(2, 0.02), np.full(2, 0.4)
     )
-    assert np.isfinite(loss([one], (0.05, 0.1)))
+    assert np.isfinite(loss([one], PlacementConfig(range_errors=(0.05, 0.1))))
 
 
 @pytest.mark.parametrize("present", [(True, True), (False, True), (False, False)])
@@ -73,7 +100,8 @@ def test_the_size_of_errors_is_found_again_and_how_it_goes_with_score_and_misfit
         sets.append(Off(np.abs(sigma * rng.normal(size=count)), scores, misfit, span))
     found = fitted_sigma(sets)
     np.testing.assert_allclose(found, true, rtol=0.15, atol=0.11)
-    assert all(share_within(one, found) == pytest.approx(0.683, abs=0.04) for one in sets)
+    config = PlacementConfig(range_sigma=found)
+    assert all(share_within(one, config) == pytest.approx(0.683, abs=0.04) for one in sets)
 
 
 def test_the_card_keeps_all_else(tmp_path):
@@ -87,7 +115,7 @@ def test_the_card_keeps_all_else(tmp_path):
 
 def test_without_hands_there_is_nothing_to_fit():
     with pytest.raises(InputError, match="no labelled hand"):
-        fitted([])
+        usual_ranges([[]])
 
 
 def test_what_cannot_be_read_is_one_line_and_exit_2(tmp_path, run_program):

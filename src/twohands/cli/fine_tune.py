@@ -87,9 +87,9 @@ def fine_tune(
         checkpoints |= result.checkpoints
     shipped = read_card(preset_folder(DEFAULT_PRESET))
     settings = shipped.settings()
-    decision = settings["decision"]
-    placement = {name: settings["placement"][name] for name in ("range_errors", "range_sigma")}
-    further = {"fine_tuned_from": DEFAULT_PRESET, "placement": placement, "decision": decision}
+    further = {"fine_tuned_from": DEFAULT_PRESET} | {
+        name: settings[name] for name in ("views", "placement", "decision")
+    }
     export_preset(checkpoints, out, name=out.resolve().name, further=further)
     add_int8(out, (source[i] for i in range(min(CALIBRATION_PICTURES, len(source)))))
     folder = f"./{out}" if str(out) in preset_names() else out  # the name alone is that of shipped weights

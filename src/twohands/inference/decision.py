@@ -57,6 +57,12 @@ class ViewConfig:
     tta_rolls_deg: tuple[float, ...] = ()
     """Further views of a hand for the pose networks, as cameras see it that are rolled so far about their line of
     sight; degrees."""
+    turns_deg: tuple[float, ...] = ()
+    """The same for doubtful hands alone: of all these views of one, that with the surest joints counts."""
+    turn_below_score: float = 0.9
+    """Mean score of its joints below which a hand is doubtful (docs/history/journal.md, *Hands upside down*)."""
+    turn_lead: float = 0.05
+    """By so much a turned view's mean score has to be higher than the first one's."""
     recrop_below_iou: float = 0.65
     """PoseNet2D sees a hand again, cropped to its joints, where HandSegNet's box and theirs overlap less.
 
@@ -75,8 +81,14 @@ class ViewConfig:
     def __post_init__(self) -> None:
         if len(self.tta_score_range) != 2:
             raise CheckpointError(f"card: views.tta_score_range must be [low, high], got {list(self.tta_score_range)}")
-        if not all(map(math.isfinite, self.tta_rolls_deg)):
-            raise CheckpointError(f"card: views.tta_rolls_deg must be angles, got {list(self.tta_rolls_deg)}")
+        for name in ("tta_rolls_deg", "turns_deg"):
+            if not all(map(math.isfinite, angles := getattr(self, name))):
+                raise CheckpointError(f"card: views.{name} must be angles, got {list(angles)}")
+
+    @property
+    def looks_again(self) -> bool:
+        """Whether the pose networks may see a hand more than once."""
+        return bool(self.tta_rolls_deg or self.turns_deg)
 
 
 FIRST_FEATURES: Final = (
@@ -158,12 +170,11 @@ class PlacementConfig:
     lower_score: float = 0.8
     """Mean score for which the second of `range_errors` is."""
     usual_range_m: float = 0.47
-    """Towards which uncertain ranges are drawn. The geometric mean over the hands of scene style wild is 0.39; over
-    those that are uncertain, more."""
-    usual_spread: float = 0.35
-    """Standard deviation of the logarithm of the range, over hands of scene style wild."""
-    correlation: float = 0.41
-    """Of the logarithms of both ranges, over pairs of hands of scene style wild."""
+    """Towards which uncertain ranges are drawn: geometric mean over hands of all scene styles."""
+    usual_spread: float = 0.5
+    """Standard deviation of the logarithm of the range, over these hands."""
+    correlation: float = 0.79
+    """Of the logarithms of both ranges of a picture."""
     range_sigma: tuple[float, float, float, float] | None = None
     """How far the likely range may be off, standard deviation as a share, of a hand whose joints have the mean score
     `sigma_score` and whose palm is seen `sigma_misfit` hand lengths from where the pose has it and as wide as

@@ -27,7 +27,7 @@ from twohands.inference.side_decision import assign_in_clip
 from twohands.inference.side_keeping import NOTHING_KNOWN
 from twohands.inference.stages import Stages
 from twohands.inference.trail import Trail
-from twohands.inference.views import with_rolled_views
+from twohands.inference.views import HandViewer
 from twohands.inference.weights import WeightsCard
 from twohands.skeleton import LEFT, RIGHT
 from twohands.types import HandCrop, PinholeCamera
@@ -178,10 +178,10 @@ class HandFinder:
         masks, boxes = self._answered(found, source, scores)
         return Detection(masks, boxes, found.keypoints.rows(np.flatnonzero(kept[sides])), found.side_logits)
 
-    def rolled(self, found: Detection, canonical: np.ndarray) -> tuple[Keypoints, np.ndarray]:
-        """Keypoints and canonical poses (B, 21, 3) of the hands by all views of them (`with_rolled_views`)."""
-        shown = self.stages, self.card, self.image, found.masks
-        return with_rolled_views(*shown, found.keypoints, canonical, self.camera)
+    def further_seen(self, found: Detection, canonical: np.ndarray) -> tuple[Keypoints, np.ndarray]:
+        """Keypoints and canonical poses (B, 21, 3) of the hands by the further views of them that the card asks for."""
+        viewer = HandViewer(self.stages, self.card, self.image, found.masks, self.camera)
+        return viewer.agreed(*viewer.turned(found.keypoints, canonical))
 
     def joint_boxed(self, boxes: HandBoxes, keypoints: Keypoints) -> HandBoxes:
         """The boxes of the hands' joints; as they are where there is nothing to see."""

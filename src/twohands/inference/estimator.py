@@ -136,8 +136,8 @@ class HandEstimator:
         canonical = self.stages.lift(keypoints) if truth.canonical is None else truth.canonical[sides]
         lengths_m = np.broadcast_to(hand_length_m, (2,))[sides]
         estimated = truth.heatmaps is None and truth.joints_px is None and truth.canonical is None
-        if estimated and self.card.views.tta_rolls_deg:
-            keypoints, canonical = finder.rolled(found, canonical)
+        if estimated and self.card.views.looks_again:
+            keypoints, canonical = finder.further_seen(found, canonical)
             if truth.boxes_px is None:
                 boxes = finder.joint_boxed(boxes, keypoints)
         placed = self.stages.place(canonical, keypoints.joints_px, keypoints.joint_scores, finder.camera, lengths_m)

@@ -5,6 +5,7 @@ Source: paper section 4.2.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -15,6 +16,7 @@ from twohands.geometry import heatmaps as codec
 from twohands.geometry.boxes import (
     box_before_camera,
     box_in_picture,
+    image_from_rolled,
     mirrored_columns,
     perspective_crop,
     points_from_crops,
@@ -22,6 +24,7 @@ from twohands.geometry.boxes import (
 )
 from twohands.geometry.composition import compose_hand_input
 from twohands.geometry.network_input import network_input
+from twohands.geometry.rotation import rotation_about_z
 from twohands.inference.weights import WeightsCard
 from twohands.skeleton import N_JOINTS, RIGHT
 from twohands.types import HandCrop, PinholeCamera
@@ -100,17 +103,17 @@ def crop_hand(
     box_px: np.ndarray,
     side: int,
     camera: PinholeCamera,
-    image_from_boxed: np.ndarray | None = None,
+    roll_deg: float = 0.0,
 ) -> HandCrop:
     """Stage 2: the hand's square picture; the rest black or dimmed, a right hand mirrored.
 
     Args:
         card: of the weights.
         image, masks: (H, W, 3) and (H, W), as `masks_from_logits` gives them.
-        box_px: (4,) u0, v0, u1, v1.
+        box_px: (4,) u0, v0, u1, v1, in pixels of the rolled camera.
         side: LEFT or RIGHT.
         camera: of the image.
-        image_from_boxed: (3, 3), leads to pixels of the picture where the box is given in those of a rolled camera.
+        roll_deg: of the camera that sees the crop, about its line of sight; 0 is that of the image.
 
     Raises:
         InputError: there is no such crop (`perspective_crop`, `square_crop`).
@@ -120,10 +123,10 @@ def crop_hand(
         image_from_crop = perspective_crop(box_px, camera, size=size, side=side, margin=margin)
     else:
         image_from_crop = square_crop(box_px, size=size, side=side, margin=margin)
-    if image_from_boxed is not None:
-        image_from_crop = image_from_boxed @ image_from_crop
+    if roll_deg:
+        image_from_crop = image_from_rolled(camera, rotation_about_z(math.radians(roll_deg))) @ image_from_crop
     composed = compose_hand_input(image, masks, image_from_crop, side, size, card.background)
-    return HandCrop(composed, image_from_crop, side, mirrored=side == RIGHT)
+    return HandCrop(composed, image_from_crop, side, mirrored=side == RIGHT, roll_deg=roll_deg)
 
 
 def cuttable(card: WeightsCard, box_px: np.ndarray, camera: PinholeCamera) -> np.ndarray:
@@ -135,7 +138,8 @@ def mirror_crop(crop: HandCrop) -> HandCrop:
     """The crop as that of a hand of the other side."""
     from_mirrored = mirrored_columns(crop.image.shape[1])
     image = np.ascontiguousarray(crop.image[:, ::-1])
-    return HandCrop(image, crop.image_from_crop @ from_mirrored, 1 - crop.side, mirrored=not crop.mirrored)
+    from_crop = crop.image_from_crop @ from_mirrored
+    return HandCrop(image, from_crop, 1 - crop.side, mirrored=not crop.mirrored, roll_deg=crop.roll_deg)
 
 
 def locate(network: PoseNet2D, crops: list[HandCrop]) -> tuple[np.ndarray, np.ndarray]:

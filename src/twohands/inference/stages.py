@@ -68,7 +68,7 @@ class Stages:
         hand_maps: image -> `segmenter.hand_maps`.
         boxes: maps, size of the picture, ... -> `segmenter.candidate_boxes`.
         masks: maps, size of the picture, present -> `segmenter.hand_masks`.
-        crop: image, masks, box, side, camera[, image_from_boxed] -> `keypoints.crop_hand`.
+        crop: image, masks, box, side, camera[, roll_deg] -> `keypoints.crop_hand`.
         locate: B crops -> heatmaps (B, 21 + cues, M, M) and hand_logit (B,), `keypoints.locate`.
         read_out: heatmaps, crops -> joints (B, 21, 2) in pixels and scores (B, 21), `keypoints.read_out`.
         lift: keypoints -> canonical joints (B, 21, 3), `placement.lift`.

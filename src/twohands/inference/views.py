@@ -1,4 +1,4 @@
-"""Test-time augmentation of the pose networks: a hand as rolled cameras see it, and what all views agree on.
+"""Further views of hands: as rolled cameras see them, the one with the surest joints, and what all views agree on.
 
 Ours; the paper's networks see a hand once.
 """
@@ -6,7 +6,7 @@ Ours; the paper's networks see a hand once.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -26,55 +26,100 @@ MEDIAN_STEPS: Final = 10
 within 0.3; further steps change no error."""
 
 
-def with_rolled_views(
-    stages: Stages,
-    card: WeightsCard,
-    image: np.ndarray,
-    masks: np.ndarray,
-    keypoints: Keypoints,
-    canonical: np.ndarray,
-    camera: PinholeCamera,
-) -> tuple[Keypoints, np.ndarray]:
-    """Sees every hand again, as cameras rolled by `ViewConfig.tta_rolls_deg` do; all views count alike.
+@dataclass(frozen=True, slots=True)
+class HandViewer:
+    """Shows the hands of one picture to the pose networks, as cameras see them that are rolled about their line of
+    sight.
 
-    What is learnt from rolled hands is not the same for every roll; the errors of such views differ, and now and then
-    one takes one finger for another, so that the joints are in the views' median.
-
-    Args:
+    Attributes:
         stages, card: of the estimator.
-        image, masks, camera: of the picture.
-        keypoints: of B hands, to be kept but for joints and scores.
-        canonical: (B, 21, 3), from these keypoints.
-
-    Returns:
-        The keypoints with the geometric median of the joints, scores that are the geometric mean of the joints' mean
-        scores and of how well the views agree (`agreement`), and the mean canonical pose.
+        image: (H, W, 3).
+        masks: (H, W), as `masks_from_logits` gives them.
+        camera: of the image.
     """
-    size = image.shape[:2]
-    rows = np.flatnonzero(in_sight(keypoints.joints_px, size, card.views.smallest_box_px))
-    if not len(rows):
-        return keypoints, canonical
-    first = keypoints.rows(rows)
-    pinhole_rays = np.asarray(unproject(first.joints_px[:, ROOT], replace(camera, distortion=())))
-    first_rays = _root_rays(first, camera, pinhole_rays)
-    views, poses = [first], [canonical[rows]]
-    for degrees in card.views.tta_rolls_deg:
-        roll = rotation_about_z(math.radians(degrees))
-        unrolled = image_from_rolled(camera, roll)
-        hands = zip(rolled_box(first.joints_px, size, unrolled), first.sides, strict=True)
-        crops = [
-            stages.crop(image, masks, cuttable(card, box, camera), int(side), camera, unrolled) for box, side in hands
-        ]
-        again = stages.keypoints(crops)
-        views.append(again)
-        poses.append(unrolled_canonical(stages.lift(again), _root_rays(again, camera, first_rays), roll))
-    joints_px, joint_scores, mean_pose = keypoints.joints_px.copy(), keypoints.joint_scores.copy(), canonical.copy()
-    seen_px = np.array([view.joints_px for view in views])
-    joints_px[rows] = geometric_median(seen_px)
-    agreed = agreement(seen_px, joints_px[rows], card.views.agreement_share)
-    joint_scores[rows] = np.sqrt(np.mean([view.joint_scores for view in views], axis=0) * agreed)
-    mean_pose[rows] = np.mean(poses, axis=0)
-    return replace(keypoints, joints_px=joints_px, joint_scores=joint_scores), mean_pose
+
+    stages: Stages
+    card: WeightsCard
+    image: np.ndarray
+    masks: np.ndarray
+    camera: PinholeCamera
+
+    def turned(self, keypoints: Keypoints, canonical: np.ndarray) -> tuple[Keypoints, np.ndarray]:
+        """Sees doubtful hands again, turned by `ViewConfig.turns_deg` one after the other, until they are no longer; of
+        each the view with the surest joints counts.
+
+        The networks know hands best with the fingers up, as the hands of who wears the camera, or is before it, mostly
+        are: seen upside down, one whose fingers point down is one of these.
+
+        Args:
+            keypoints: of B hands.
+            canonical: (B, 21, 3), from these keypoints.
+
+        Returns:
+            Keypoints and canonical poses of the views that count.
+        """
+        views, seen, best, poses = self.card.views, self._in_sight(keypoints), keypoints, canonical.copy()
+        least = _sureness(keypoints) + views.turn_lead
+        for degrees in views.turns_deg:
+            rows = np.flatnonzero(seen & (_sureness(best) < views.turn_below_score))
+            if not len(rows):
+                break
+            again, again_poses = self._rolled(keypoints.rows(rows), degrees)
+            surer = _sureness(again) > np.maximum(_sureness(best), least)[rows]
+            best = best.replaced(rows[surer], again.rows(np.flatnonzero(surer)))
+            poses[rows[surer]] = again_poses[surer]
+        return best, poses
+
+    def agreed(self, keypoints: Keypoints, canonical: np.ndarray) -> tuple[Keypoints, np.ndarray]:
+        """Sees every hand again, rolled by `ViewConfig.tta_rolls_deg`; all views count alike.
+
+        What is learnt from rolled hands is not the same for every roll; the errors of such views differ, and now and
+        then one takes one finger for another, so that the joints are in the views' median.
+
+        Args:
+            keypoints: of B hands, to be kept but for joints and scores.
+            canonical: (B, 21, 3), from these keypoints.
+
+        Returns:
+            The keypoints with the geometric median of the joints, scores that are the geometric mean of the joints'
+            mean scores and of how well the views agree (`agreement`), and the mean canonical pose.
+        """
+        views = self.card.views
+        rows = np.flatnonzero(self._in_sight(keypoints))
+        if not (len(rows) and views.tta_rolls_deg):
+            return keypoints, canonical
+        first = keypoints.rows(rows)
+        seen = [(first, canonical[rows]), *(self._rolled(first, degrees) for degrees in views.tta_rolls_deg)]
+        joints_px, joint_scores, mean_pose = keypoints.joints_px.copy(), keypoints.joint_scores.copy(), canonical.copy()
+        seen_px = np.array([view.joints_px for view, _ in seen])
+        joints_px[rows] = geometric_median(seen_px)
+        agreed = agreement(seen_px, joints_px[rows], views.agreement_share)
+        joint_scores[rows] = np.sqrt(np.mean([view.joint_scores for view, _ in seen], axis=0) * agreed)
+        mean_pose[rows] = np.mean([poses for _, poses in seen], axis=0)
+        return replace(keypoints, joints_px=joints_px, joint_scores=joint_scores), mean_pose
+
+    def _in_sight(self, keypoints: Keypoints) -> np.ndarray:
+        return in_sight(keypoints.joints_px, self.image.shape[:2], self.card.views.smallest_box_px)
+
+    def _rolled(self, first: Keypoints, further_deg: float) -> tuple[Keypoints, np.ndarray]:
+        """Keypoints of B hands and their canonical poses (B, 21, 3) in the camera of the picture, as cameras see them
+        that are rolled so far further than those that saw them first."""
+        otherwise = np.asarray(unproject(first.joints_px[:, ROOT], replace(self.camera, distortion=())))
+        degrees = [crop.roll_deg + further_deg for crop in first.crops]
+        rolls = np.array([rotation_about_z(math.radians(roll_deg)) for roll_deg in degrees])
+        crops = []
+        for joints_px, side, roll_deg, roll in zip(first.joints_px, first.sides, degrees, rolls, strict=True):
+            box_px = rolled_box(joints_px, self.image.shape[:2], image_from_rolled(self.camera, roll))
+            box_px = cuttable(self.card, box_px, self.camera)
+            crops.append(self.stages.crop(self.image, self.masks, box_px, int(side), self.camera, roll_deg))
+        again = self.stages.keypoints(crops)
+        rays = _root_rays(again, self.camera, _root_rays(first, self.camera, otherwise))
+        return again, unrolled_canonical(self.stages.lift(again), rays, rolls)
+
+
+def _sureness(keypoints: Keypoints) -> np.ndarray:
+    """(B,) mean scores of the joints."""
+    return keypoints.joint_scores.mean(axis=-1)
 
 
 def _root_rays(keypoints: Keypoints, camera: PinholeCamera, otherwise: np.ndarray) -> np.ndarray:
