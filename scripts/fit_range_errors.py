@@ -166,10 +166,9 @@ def usual_ranges(sets: Sequence[Sequence[Ranges]]) -> PlacementConfig:
         InputError: there is no hand.
     """
     logs = [np.log(np.concatenate([one.true for one in found] or [np.zeros(0)])) for found in sets]
-    logs = [known[np.isfinite(known)] for known in logs]
-    if not any(len(known) for known in logs):
+    logs = [known for known in (one[np.isfinite(one)] for one in logs) if len(known)]
+    if not logs:
         raise InputError("no labelled hand was found in these pictures")
-    logs = [known for known in logs if len(known)]
     mean = np.mean([known.mean() for known in logs])
     variance = np.mean([((known - mean) ** 2).mean() for known in logs])
     pairs = [[np.log(one.true) - mean for one in found if np.isfinite(one.true).sum() == 2] for found in sets]

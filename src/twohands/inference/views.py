@@ -64,7 +64,8 @@ class HandViewer:
             rows = np.flatnonzero(seen & (_sureness(best) < views.turn_below_score))
             if not len(rows):
                 break
-            again, again_poses = self._rolled(keypoints.rows(rows), degrees)
+            first = keypoints.rows(rows)
+            again, again_poses = self._rolled(first, self._first_rays(first), degrees)
             surer = _sureness(again) > np.maximum(_sureness(best), least)[rows]
             best = best.replaced(rows[surer], again.rows(np.flatnonzero(surer)))
             poses[rows[surer]] = again_poses[surer]
@@ -89,7 +90,8 @@ class HandViewer:
         if not (len(rows) and views.tta_rolls_deg):
             return keypoints, canonical
         first = keypoints.rows(rows)
-        seen = [(first, canonical[rows]), *(self._rolled(first, degrees) for degrees in views.tta_rolls_deg)]
+        rays = self._first_rays(first)
+        seen = [(first, canonical[rows]), *(self._rolled(first, rays, degrees) for degrees in views.tta_rolls_deg)]
         joints_px, joint_scores, mean_pose = keypoints.joints_px.copy(), keypoints.joint_scores.copy(), canonical.copy()
         seen_px = np.array([view.joints_px for view, _ in seen])
         joints_px[rows] = geometric_median(seen_px)
@@ -101,10 +103,14 @@ class HandViewer:
     def _in_sight(self, keypoints: Keypoints) -> np.ndarray:
         return in_sight(keypoints.joints_px, self.image.shape[:2], self.card.views.smallest_box_px)
 
-    def _rolled(self, first: Keypoints, further_deg: float) -> tuple[Keypoints, np.ndarray]:
+    def _first_rays(self, keypoints: Keypoints) -> np.ndarray:
+        """Rays (B, 3) of the root joints; those of the pinhole camera where the lens has none."""
+        pinhole = np.asarray(unproject(keypoints.joints_px[:, ROOT], replace(self.camera, distortion=())))
+        return _root_rays(keypoints, self.camera, pinhole)
+
+    def _rolled(self, first: Keypoints, rays: np.ndarray, further_deg: float) -> tuple[Keypoints, np.ndarray]:
         """Keypoints of B hands and their canonical poses (B, 21, 3) in the camera of the picture, as cameras see them
-        that are rolled so far further than those that saw them first."""
-        otherwise = np.asarray(unproject(first.joints_px[:, ROOT], replace(self.camera, distortion=())))
+        that are rolled so far further than those that saw them first, along rays (B, 3)."""
         degrees = [crop.roll_deg + further_deg for crop in first.crops]
         rolls = np.array([rotation_about_z(math.radians(roll_deg)) for roll_deg in degrees])
         crops = []
@@ -113,8 +119,7 @@ class HandViewer:
             box_px = cuttable(self.card, box_px, self.camera)
             crops.append(self.stages.crop(self.image, self.masks, box_px, int(side), self.camera, roll_deg))
         again = self.stages.keypoints(crops)
-        rays = _root_rays(again, self.camera, _root_rays(first, self.camera, otherwise))
-        return again, unrolled_canonical(self.stages.lift(again), rays, rolls)
+        return again, unrolled_canonical(self.stages.lift(again), _root_rays(again, self.camera, rays), rolls)
 
 
 def _sureness(keypoints: Keypoints) -> np.ndarray:
