@@ -6,9 +6,12 @@ from numbers import Real
 from typing import Any
 
 import array_api_compat as compat
+import array_api_compat.numpy as compat_numpy
 import numpy as np
 
 from twohands.types import Array
+
+_FLOAT64 = np.dtype(np.float64)
 
 
 def float_arrays(*values: Array) -> tuple[Any, ...]:
@@ -21,6 +24,8 @@ def float_arrays(*values: Array) -> tuple[Any, ...]:
         The array namespace (numpy's if all are numbers), followed by the values: arrays of the widest floating dtype
         among them (the kind's default float if all are integers), numbers as 0-d arrays on the first array's device.
     """
+    if _is_plain(values):  # as nearly always: array_api_compat would ask the same thirty times as long
+        return compat_numpy, *(np.asarray(value, np.float64) for value in values)
     arrays: list[Any] = [value for value in values if not isinstance(value, Real)] or [
         np.asarray(value) for value in values
     ]
@@ -35,3 +40,9 @@ def float_arrays(*values: Array) -> tuple[Any, ...]:
         for value in values
     ]
     return xp, *converted
+
+
+def _is_plain(values: tuple[Array, ...]) -> bool:
+    """Whether all are numpy arrays of float64, or numbers beside at least one of these."""
+    arrays: list[Any] = [value for value in values if not isinstance(value, Real)]
+    return all(isinstance(value, np.ndarray) for value in arrays) and {array.dtype for array in arrays} == {_FLOAT64}

@@ -140,7 +140,7 @@ def moved_masks(trail: Trail, expected_px: np.ndarray) -> np.ndarray:
     for side, hand in enumerate(trail.seen.hands):
         joints = _joints(hand)
         if np.isfinite(joints).all() and np.isfinite(expected_px[side]).all():
-            own = np.isin(before, (1 + side, 1 + side + UNCERTAIN)).astype(np.uint8)
+            own = ((before == 1 + side) | (before == 1 + side + UNCERTAIN)).astype(np.uint8)
             place = similarity(joints / step, expected_px[side] / step)
             masks[cv2.warpAffine(own, place, size, flags=cv2.INTER_NEAREST) > 0] = 1 + side
     return masks
