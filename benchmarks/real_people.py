@@ -22,6 +22,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -40,7 +41,9 @@ from twohands.inference.estimator import HandEstimator
 from twohands.inference.weights import DEFAULT_PRESET
 from twohands.skeleton import SIDES
 
-PARTS = ("people", "clips", "digits", "ge2019", "official", "research", "stills", "generated", "paper")
+PARTS = ("people", "clips", "digits", "ge2019", "official", "research", "stills", "generated", "paper", "wild")
+GENERATED = ("generated", "paper", "wild")
+"""Parts that the generator made."""
 QUICK_PARTS = ("people", "frames", "digits", "official")
 FLOORS = Path(__file__).with_name("figures.json")
 """Figures that new weights must not fall below, by preset."""
@@ -108,6 +111,17 @@ def _matched(part: str, what: str) -> dict[str, Kind]:
     }
 
 
+def _generated(part: str, what: str) -> dict[str, Kind]:
+    return {
+        f"{part}.presence": _fraction(f"{what}: presence"),
+        f"{part}.miou": _fraction(f"{what}: mIoU"),
+        f"{part}.side_errors": _share(f"{what}: side errors", digits=1, more=False),
+        f"{part}.error_px": _error(f"{what}: 2D", "px"),
+        f"{part}.range_cm": _error(f"{what}: range median", "cm", 2),
+        f"{part}.within_7cm": _fraction(f"{what}: within 7 cm"),
+    }
+
+
 KINDS: dict[str, Kind] = {
     **_matched("people", "people"),
     **_matched("clips", "clips"),
@@ -126,18 +140,9 @@ KINDS: dict[str, Kind] = {
     "official.error_px": _error("official sample: 2D of the worse hand", "px"),
     "official.range_cm": _error("official sample: range of the worse hand", "cm"),
     "research.any": _share("research photographs: any hand found", digits=2, more=False),
-    "generated.presence": _fraction("generated people: presence"),
-    "generated.miou": _fraction("generated people: mIoU"),
-    "generated.side_errors": _share("generated people: side errors", digits=1, more=False),
-    "generated.error_px": _error("generated people: 2D", "px"),
-    "generated.range_cm": _error("generated people: range median", "cm", 2),
-    "generated.within_7cm": _fraction("generated people: within 7 cm"),
-    "paper.presence": _fraction("style paper: presence"),
-    "paper.miou": _fraction("style paper: mIoU"),
-    "paper.side_errors": _share("style paper: side errors", digits=1, more=False),
-    "paper.error_px": _error("style paper: 2D", "px"),
-    "paper.range_cm": _error("style paper: range median", "cm", 2),
-    "paper.within_7cm": _fraction("style paper: within 7 cm"),
+    **_generated("generated", "generated people"),
+    **_generated("paper", "style paper"),
+    **_generated("wild", "style wild"),
     TIME: _error("HandSegNet: time over that of the weights of before", "", 2),
 }
 """Every figure."""
@@ -294,12 +299,13 @@ def floor(kind: Kind, measured: Measured) -> float:
 
 
 def floors(figures: Figures) -> dict[str, float]:
-    """Floors of what the table shows and of the share of good hands, where something was measured.
+    """Floors of what the table shows, of the share of good hands and of style wild, where something was measured.
 
     A time does not repeat itself; what is said of found hands alone may get worse because more are found.
     """
     shown = {key for row in ROWS for key, _, _ in row.bars} - {TIME, "people.good"}
-    chosen = shown | {"people.good_of_all", "clips.good_of_all"}
+    wild = {f"wild.{name}" for name in ("presence", "miou", "error_px", "range_cm", "within_7cm")}
+    chosen = shown | {"people.good_of_all", "clips.good_of_all"} | wild
     return {
         key: round(floor(KINDS[key], figures[key]), 4)
         for key in KINDS
@@ -405,10 +411,9 @@ def parts_of(
     shared: Path,
     *,
     quick: bool = False,
-    generated: Path | None = None,
-    paper: Path | None = None,
+    generated: Mapping[str, Path | None] = MappingProxyType({}),
 ) -> list[Part]:
-    """The parts of these names, opened; generated sets only where their folder is given.
+    """The parts of these names, opened; those of `GENERATED` only where `generated` names their folder.
 
     Raises:
         InputError: pictures are not there.
@@ -424,7 +429,7 @@ def parts_of(
         "research": lambda: pictures.research(shared),
         "stills": lambda: pictures.stills(shared),
     }
-    for name, folder in (("generated", generated), ("paper", paper)):
+    for name, folder in generated.items():
         if folder is not None:
             readers[name] = lambda name=name, folder=folder: pictures.generated(folder, name)
     return [readers[name]() for name in names if name in readers]
@@ -445,7 +450,7 @@ def make_predictions(out: Path, system: System, parts: Sequence[Part]) -> None:
     for part in parts:
         start = time.perf_counter()
         path = predictions_path(out, system.name, part.name)
-        predictions = run_part(system, part, keep_masks=part.name in ("generated", "paper"))
+        predictions = run_part(system, part, keep_masks=part.name in GENERATED)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -473,7 +478,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if len(set(names)) < len(names):
         raise InputError(f"--systems: two of one name: {', '.join(names)}")
     chosen = args.only or (QUICK_PARTS if args.quick else PARTS)
-    parts = parts_of(chosen, args.shared, quick=args.quick, generated=args.generated, paper=args.paper)
+    generated = {name: getattr(args, name) for name in GENERATED}
+    parts = parts_of(chosen, args.shared, quick=args.quick, generated=generated)
     times: dict[str, Measured] = {}
     if not args.score_only:
         for system, name in zip(args.systems, names, strict=True):
@@ -510,7 +516,7 @@ def _write_all_sheets(
     for name in names:
         for part in parts:
             path = predictions_path(out, name, part.name)
-            if path.is_file() and part.name not in ("generated", "paper"):
+            if path.is_file() and part.name not in GENERATED:
                 folder = out / "sheets" / name
                 count = len(write_sheets(folder, part, load_predictions(path), tool, everything=everything))
                 _say(f"{count} sheets of {part.name} written to {folder}")
@@ -559,6 +565,7 @@ def _parser() -> argparse.ArgumentParser:
     option("--quick", action="store_true", help=f"{', '.join(QUICK_PARTS)}; fewer frames and digits, no tracking")
     option("--generated", type=Path, help="generated test set of people, with part labels")
     option("--paper", type=Path, help="generated test set of style paper")
+    option("--wild", type=Path, help="the same of style wild")
     option("--today", help="weights folder or preset whose HandSegNet is timed in turns with the others'")
     option("--threads", type=int, default=0, help="CPU threads of the networks; 0 takes all cores")
     option("--out", type=Path, default=Path("out/real_people"), help="folder for everything that is written")

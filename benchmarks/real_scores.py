@@ -183,8 +183,8 @@ def photo_figures(part: Part, predictions: Predictions, tool: ModuleType) -> Fig
 
 
 def generated_figures(part: Part, predictions: Predictions, tool: ModuleType) -> Figures:
-    """A generated test set, people or style paper: metrics of the evaluation, and "side_errors", the share of the
-    hands that were found which were found on the other side."""
+    """A generated test set: metrics of the evaluation, and "side_errors", the share of the hands that were found which
+    were found on the other side."""
     reference: Reference = {}
 
     def noted() -> Iterator[HandSample]:
@@ -220,6 +220,7 @@ SCORES: dict[str, Callable[[Part, Predictions, ModuleType], Figures]] = {
     "research": photo_figures,
     "generated": generated_figures,
     "paper": generated_figures,
+    "wild": generated_figures,
 }
 """How each part is scored; "stills" are not."""
 
