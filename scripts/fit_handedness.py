@@ -283,7 +283,8 @@ def seen(estimator: HandEstimator, sample: HandSample, kind: str, scene: int, ea
         size = sample.image.shape[0], sample.image.shape[1]
         evidence = Evidence(size, boxes.boxes_px, maps, unseen, unseen)
         return Seen(kind, scene, sample.present, evidence, last, distance, boxes_px, outcome, earlier)
-    found = Detection(masks, boxes, estimator.stages.keypoints(finder.crops(masks, boxes.boxes_px, sides)))
+    crops = finder.crops(masks, boxes.boxes_px, sides)
+    found = finder.uprighted(Detection(masks, boxes, estimator.stages.keypoints(crops)))
     evidence, views = finder.evidence(found, None)
     possible = np.isfinite(first_features(evidence)[:, 0])
     pairs = tuple(ANSWERS.index(pair) for pair in ((0, 1), (1, 0)))

@@ -17,12 +17,13 @@ from twohands.geometry.boxes import (
     points_from_crops,
     rolled_box,
     square_crop,
+    upright_roll_deg,
     warp_image,
 )
 from twohands.geometry.camera import project, unproject
 from twohands.geometry.canonical import camera_from_canonical
 from twohands.geometry.rotation import rotation_about_z
-from twohands.skeleton import LEFT, RIGHT
+from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
 from twohands.types import PinholeCamera
 
 WIDE_CAMERA = PinholeCamera.from_fov(150, 960, 540)
@@ -327,6 +328,23 @@ def test_pixels_of_a_rolled_camera_lead_to_those_of_the_upright_one():
     points = np.random.default_rng(0).uniform([-0.2, -0.2, 0.3], [0.2, 0.2, 0.6], (50, 3))
     found = apply_homography(image_from_rolled(OFF_CENTRE_CAMERA, roll), project(points @ roll.T, OFF_CENTRE_CAMERA))
     np.testing.assert_allclose(found, project(points, OFF_CENTRE_CAMERA), atol=1e-9)
+
+
+@pytest.mark.parametrize(("along", "degrees"), [((0, -40), 0), ((40, 0), -90), ((-40, 0), 90), ((30, -30), -45)])
+def test_a_camera_rolled_upright_sees_the_knuckle_above_the_wrist(along, degrees):
+    joints_px = np.full((2, 21, 2), 240.0)
+    joints_px[:, ROOT] += along
+    rolls_deg = upright_roll_deg(joints_px)
+    np.testing.assert_allclose(rolls_deg, degrees, atol=1e-9)
+    from_rolled = image_from_rolled(OFF_CENTRE_CAMERA, rotation_about_z(np.radians(rolls_deg[0])))
+    seen = apply_homography(np.linalg.inv(from_rolled), joints_px[0])
+    assert seen[ROOT, 0] == pytest.approx(seen[WRIST, 0], abs=0.2) and seen[ROOT, 1] < seen[WRIST, 1]
+
+
+def test_a_hand_upside_down_is_rolled_by_half_a_turn():
+    joints_px = np.full((21, 2), 100.0)
+    joints_px[ROOT, 1] += 50
+    assert abs(upright_roll_deg(joints_px)) == pytest.approx(180)
 
 
 def test_box_before_a_rolled_camera_is_that_of_what_the_upright_picture_shows():

@@ -20,7 +20,7 @@ from tests.oracles import (
 
 from twohands.errors import InputError, PlausibilityWarning
 from twohands.evaluation.predictions import predict
-from twohands.geometry.boxes import apply_homography
+from twohands.geometry.boxes import apply_homography, upright_roll_deg
 from twohands.geometry.camera import unproject
 from twohands.geometry.canonical import canonical_from_camera
 from twohands.geometry.heatmaps import encode_heatmaps
@@ -34,7 +34,7 @@ from twohands.inference.keypoints import Keypoints, joint_boxes
 from twohands.inference.placement import posterior_ranges
 from twohands.inference.stages import StageTruth
 from twohands.inference.views import HandViewer
-from twohands.skeleton import LEFT, RIGHT, ROOT
+from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
 from twohands.types import HandPose, HandSample, PinholeCamera
 
 HAND_LENGTH_M = 0.1
@@ -387,6 +387,42 @@ def test_of_all_turned_views_the_surest_counts_for_each_hand():
     assert [crop.roll_deg for crop in seen.crops] == [90.0, 180.0]
     np.testing.assert_array_equal(seen.sides, [LEFT, RIGHT])
     np.testing.assert_allclose(seen.joint_scores.mean(axis=1), [0.9, 0.8])
+
+
+@pytest.mark.parametrize(("within_deg", "again"), [(180.0, ()), (35.0, (LEFT,)), (5.0, (LEFT, RIGHT))])
+def test_a_hand_whose_fingers_point_elsewhere_is_seen_again_with_its_fingers_up(within_deg, again):
+    """The first look is off by 3 pixels, the second right; poses come back in the camera of the picture."""
+    sample = drawn_hands(7)
+    lean_deg = np.abs(upright_roll_deg(sample.joints_px))
+    assert 5 < lean_deg[RIGHT] < 35 < lean_deg[LEFT]
+    card = make_card(upright_within_deg=within_deg)
+    oracle = Oracle(sample, card)
+    plain, crops = HandEstimator(oracle.estimator.networks, card).stages, []
+
+    def locate(given):
+        crops.append(given)
+        return oracle.true_maps(given), np.zeros(len(given))
+
+    def read_out(heatmaps, given):
+        joints_px, scores = plain.read_out(heatmaps, given)
+        return joints_px + np.array([[0.0 if crop.roll_deg else 3.0, 0.0] for crop in given])[:, None], scores
+
+    def lift(keypoints):
+        rolls = [rotation_about_z(np.radians(crop.roll_deg)) for crop in keypoints.crops]
+        joints_m = [sample.joints_m[crop.side] @ roll.T for crop, roll in zip(keypoints.crops, rolls, strict=True)]
+        return canonical_from_camera(np.array(joints_m)).joints
+
+    estimator = restaged(HandEstimator(oracle.estimator.networks, card), locate=locate, read_out=read_out, lift=lift)
+    pose = estimator.estimate(sample.image, sample.camera, HAND_LENGTH_M)
+    assert [crop.side for given in crops[1:] for crop in given] == list(again)
+    for crop in (crop for given in crops[1:] for crop in given):
+        in_crop = apply_homography(np.linalg.inv(crop.image_from_crop), sample.joints_px[crop.side])
+        along = in_crop[ROOT] - in_crop[WRIST]
+        assert abs(np.degrees(np.arctan2(along[0], -along[1]))) < 15
+    for side, hand in enumerate(pose.hands):
+        expected_px = sample.joints_px[side] + np.array([0.0 if side in again else 3.0, 0.0])
+        np.testing.assert_allclose(hand.joints_px, expected_px, atol=0.3)
+        np.testing.assert_allclose(hand.canonical, oracle.canonical[side], atol=0.05)
 
 
 def test_mirrored_picture_gives_the_mirrored_result_with_hands_swapped():

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from tests.oracles import Oracle, drawn_hands, make_card, restaged
 
+from twohands.geometry.boxes import upright_roll_deg
 from twohands.inference.following import (
     FARTHEST,
     expected_joints,
@@ -37,17 +38,18 @@ def trail_of(*poses: TwoHandPose) -> Trail:
 
 
 class Follower:
-    """An estimator whose networks know the answer; `looks` counts HandSegNet's pictures."""
+    """An estimator whose networks know the answer; `looks` counts HandSegNet's pictures, `crops` are PoseNet2D's."""
 
-    def __init__(self, sample=SAMPLE, seen_logit: float = 4.0, blind: bool = False) -> None:
-        oracle = Oracle(sample, CARD)
-        self.looks = 0
+    def __init__(self, sample=SAMPLE, seen_logit: float = 4.0, blind: bool = False, card=CARD) -> None:
+        oracle = Oracle(sample, card)
+        self.looks, self.crops = 0, []
 
         def look(image):
             self.looks += 1
             return oracle.estimator.stages.hand_maps(image)
 
         def locate(crops):
+            self.crops.append(crops)
             maps = oracle.true_maps(crops)
             return np.zeros_like(maps) if blind and not self.looks else maps, np.full(len(crops), seen_logit)
 
@@ -142,6 +144,16 @@ def test_followed_hands_are_found_without_segmentation():
         np.testing.assert_allclose(hand.joints_px, SAMPLE.joints_px[side], atol=0.1)
         assert hand.range_m == pytest.approx(first.hands[side].range_m, rel=2e-3)
         assert hand.score == pytest.approx(first.hands[side].score, abs=0.05)
+
+
+def test_hands_are_followed_with_their_fingers_up_where_the_card_says_so():
+    card = make_card(hand_logit=True, upright_within_deg=20.0)
+    follower, plain = Follower(card=card), Follower().estimate(None, 0)
+    again = follower.estimate(Trail((plain,), plain, may_rest=True))
+    assert follower.looks == 0 and again.followed
+    for crop in follower.crops[-1]:
+        assert crop.roll_deg == pytest.approx(float(upright_roll_deg(SAMPLE.joints_px[crop.side])), abs=3)
+        np.testing.assert_allclose(again.hands[crop.side].joints_px, SAMPLE.joints_px[crop.side], atol=0.1)
 
 
 def test_segmentation_looks_where_it_may_not_rest_or_a_hand_is_in_doubt():

@@ -2,16 +2,19 @@
 
 import dataclasses
 
+import numpy as np
 import pytest
 import torch
+from tests.tflite_files import tflite_file
 from torch import nn
 from torch.nn import functional
 
-from twohands.errors import InputError
+from twohands.errors import CheckpointError, InputError
 from twohands.models.blocks import freeze_batch_norm
 from twohands.models.efficientnet import (
+    HANDS,
     DepthwiseConv2d,
-    EfficientNetLite0,
+    EfficientNet,
     encoder_of,
     load_published,
     published_weights,
@@ -19,6 +22,7 @@ from twohands.models.efficientnet import (
 from twohands.models.hand_seg_net import HandSegNet, HandSegNetConfig
 from twohands.models.pose_net_2d import PoseNet2D, PoseNet2DConfig
 from twohands.models.presets import SLIM
+from twohands.models.tflite import read_convolutions
 from twohands.training.config import recipe, with_override
 from twohands.training.stages import build_stage
 from twohands.training.state import build_optimizer
@@ -28,7 +32,7 @@ SMALL = HandSegNetConfig("efficientnet-lite0", height=64, width_px=96)
 
 @pytest.fixture(scope="module")
 def published():
-    encoder = EfficientNetLite0()
+    encoder = EfficientNet()
     load_published(encoder)
     return encoder.eval()
 
@@ -62,8 +66,56 @@ def test_our_normalisation_is_the_published_one_to_its_first_layer(published):
     torch.testing.assert_close(ours[..., 1:, 1:], theirs[..., 1:, 1:], atol=1e-4, rtol=1e-4)
 
 
-def test_both_networks_can_stand_on_it_and_judge():
-    config = PoseNet2DConfig("efficientnet-lite0", 64, stages=1, activation="softmax", judge=True, cues=8)
+@pytest.fixture(scope="module")
+def hands_file(tmp_path_factory):
+    """A file with the convolutions of `hand_landmark_full.tflite`, of random weights."""
+    rng = np.random.default_rng(0)
+    kernels = [part.weight.shape for part in EfficientNet(HANDS).modules() if isinstance(part, nn.Conv2d)]
+    layers = [(rng.normal(size=s).astype(np.float16), rng.normal(size=s[0]).astype(np.float16)) for s in kernels]
+    path = tmp_path_factory.mktemp("hands") / "hand_landmark_full.tflite"
+    path.write_bytes(tflite_file(layers))
+    return path
+
+
+def test_the_encoder_that_knows_hands_ends_with_its_widened_channels():
+    encoded = EfficientNet(HANDS).eval()(torch.zeros(2, 3, 64, 96))
+    assert [tuple(level.shape[1:]) for level in encoded] == [
+        (16, 32, 48),
+        (24, 16, 24),
+        (40, 8, 12),
+        (112, 4, 6),
+        (1152, 2, 3),
+    ]
+
+
+def test_the_encoder_that_knows_hands_takes_their_kernels_and_our_grey_values(hands_file):
+    encoder = EfficientNet(HANDS)
+    card = load_published(encoder, hands_file)
+    assert card["licence"] == "Apache-2.0" and "mediapipe" in card["source"]
+    stored = read_convolutions(hands_file)
+    picture = torch.randint(0, 256, (1, 3, 16, 16), generator=torch.Generator().manual_seed(0)).float()
+    theirs = functional.conv2d(picture / 255, *stored[0], stride=2, padding=1).clamp(0, 6)
+    ours = encoder.eval().stem((picture - 128) / 256)
+    torch.testing.assert_close(ours[..., 1:, 1:], theirs[..., 1:, 1:], atol=1e-4, rtol=1e-4)
+    last = encoder.stages[-1][0]
+    x = torch.rand(1, 192, 6, 6, generator=torch.Generator().manual_seed(1))
+    wide = functional.conv2d(x, *stored[-2]).clamp(0, 6)
+    theirs = functional.conv2d(wide, *stored[-1], padding=1, groups=1152).clamp(0, 6)
+    torch.testing.assert_close(last(x), theirs, atol=1e-3, rtol=1e-3)
+
+
+def test_the_encoder_that_knows_hands_needs_its_file(hands_file, tmp_path):
+    with pytest.raises(InputError, match=r"hand_landmark_full\.tflite of the wheel mediapipe .* --set encoder=FILE"):
+        load_published(EfficientNet(HANDS))
+    other = tmp_path / "other.tflite"
+    other.write_bytes(tflite_file([(np.ones((8, 3, 3, 3), np.float16), np.zeros(8, np.float16))]))
+    with pytest.raises(CheckpointError, match=r"other\.tflite does not hold the expected weights"):
+        load_published(EfficientNet(HANDS), other)
+
+
+@pytest.mark.parametrize("variant", ["efficientnet-lite0", "mediapipe-hands"])
+def test_both_networks_can_stand_on_it_and_judge(variant):
+    config = PoseNet2DConfig(variant, 64, stages=1, activation="softmax", judge=True, cues=8)
     net = PoseNet2D(config).eval()
     maps, hand_logit = net.judged(torch.zeros(2, 3, 64, 64))
     assert maps[0].shape == (2, 29, 16, 16) and hand_logit is not None and hand_logit.shape == (2, 1)
@@ -75,7 +127,7 @@ def test_both_networks_can_stand_on_it_and_judge():
 
 
 def test_frozen_statistics_give_what_evaluation_gives_grouped_convolutions_too(published):
-    frozen = EfficientNetLite0()
+    frozen = EfficientNet()
     frozen.load_state_dict(published.state_dict())
     freeze_batch_norm(frozen)
     picture = torch.rand(1, 3, 32, 32, generator=torch.Generator().manual_seed(1)) - 0.5

@@ -18,7 +18,7 @@ from twohands.errors import InputError
 from twohands.geometry._arrays import float_arrays
 from twohands.geometry.camera import intrinsic_matrix, unproject
 from twohands.geometry.rotation import centring_angles, rotation_from_angles
-from twohands.skeleton import LEFT, RIGHT
+from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
 from twohands.types import Array, PinholeCamera
 
 _LEAST_DEPTH: Final = 0.1
@@ -176,6 +176,20 @@ def image_from_rolled(camera: PinholeCamera, rolled_from_camera: NDArray[np.floa
     """
     intrinsics = intrinsic_matrix(camera)
     return intrinsics @ np.transpose(rolled_from_camera) @ np.linalg.inv(intrinsics)
+
+
+def upright_roll_deg(joints_px: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How far a camera is to be rolled about its line of sight to see a hand with its fingers up.
+
+    Args:
+        joints_px: (..., 21, 2) pixels.
+
+    Returns:
+        (...,) degrees, -180..180, for `rotation.rotation_about_z`: then the middle finger's knuckle is above the wrist.
+    """
+    along = joints_px[..., ROOT, :] - joints_px[..., WRIST, :]
+    degrees = -90 - np.degrees(np.arctan2(along[..., 1], along[..., 0]))
+    return (degrees + 180) % 360 - 180
 
 
 def rolled_box(

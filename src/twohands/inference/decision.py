@@ -57,8 +57,11 @@ class ViewConfig:
     tta_rolls_deg: tuple[float, ...] = ()
     """Further views of a hand for the pose networks, as cameras see it that are rolled so far about their line of
     sight; degrees."""
+    upright_within_deg: float = 180.0
+    """How far from up a hand's fingers may point before PoseNet2D sees it again, as a camera does that is rolled so
+    that they point up; and every further crop of it is rolled so. 180: none ever is."""
     turns_deg: tuple[float, ...] = ()
-    """The same for doubtful hands alone: of all these views of one, that with the surest joints counts."""
+    """Further views of doubtful hands alone: of all these views of one, that with the surest joints counts."""
     turn_below_score: float = 0.9
     """Mean score of its joints below which a hand is doubtful (docs/history/journal.md, *Hands upside down*)."""
     turn_lead: float = 0.05
@@ -84,6 +87,13 @@ class ViewConfig:
         for name in ("tta_rolls_deg", "turns_deg"):
             if not all(map(math.isfinite, angles := getattr(self, name))):
                 raise CheckpointError(f"card: views.{name} must be angles, got {list(angles)}")
+        if not 0 <= self.upright_within_deg <= 180:
+            raise CheckpointError(f"card: views.upright_within_deg must lie in 0..180, got {self.upright_within_deg}")
+
+    @property
+    def upright(self) -> bool:
+        """Whether crops of hands whose joints are known are rolled so that the fingers point up."""
+        return self.upright_within_deg < 180
 
     @property
     def looks_again(self) -> bool:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from twohands.geometry.boxes import box_iou
+from twohands.geometry.boxes import box_iou, upright_roll_deg
 from twohands.geometry.segmentation import UNCERTAIN, HandBoxes, as_one_hand, box_evidence, probability
 from twohands.inference.handedness import (
     Assignment,
@@ -22,7 +22,7 @@ from twohands.inference.handedness import (
     palm_distance,
     rescore,
 )
-from twohands.inference.keypoints import Keypoints, cuttable, joint_boxes, mirror_crop
+from twohands.inference.keypoints import Keypoints, cuttable, in_sight, joint_boxes, mirror_crop, rolled_hand_box
 from twohands.inference.side_decision import assign_in_clip
 from twohands.inference.side_keeping import NOTHING_KNOWN
 from twohands.inference.stages import Stages
@@ -93,6 +93,34 @@ class HandFinder:
         hands = zip(chosen, sides, strict=True)
         return [self.stages.crop(self.image, masks, box, int(side), self.camera) for box, side in hands]
 
+    def joint_crops(
+        self, masks: np.ndarray, boxes_px: np.ndarray, joints_px: np.ndarray, sides: np.ndarray
+    ) -> list[HandCrop]:
+        """Crops of hands of which joints are known: of the given sides' boxes, boxes_px (2, 4); or where the card says
+        so as cameras see the joints, (B, 21, 2), that are rolled so that the fingers point up."""
+        crops = self.crops(masks, boxes_px, sides)
+        if not self.card.views.upright:
+            return crops
+        rolls_deg = upright_roll_deg(joints_px)
+        for row in np.flatnonzero(in_sight(joints_px, self.size, self.card.views.smallest_box_px)):
+            side, roll_deg = int(sides[row]), float(rolls_deg[row])
+            box_px = rolled_hand_box(self.card, joints_px[row], self.size, self.camera, roll_deg)
+            crops[row] = self.stages.crop(self.image, masks, box_px, side, self.camera, roll_deg)
+        return crops
+
+    def uprighted(self, found: Detection) -> Detection:
+        """Hands whose fingers point farther from up than `ViewConfig.upright_within_deg`, seen again."""
+        keypoints, views = found.keypoints, self.card.views
+        rolled_deg = np.array([crop.roll_deg for crop in keypoints.crops])
+        off_deg = (upright_roll_deg(keypoints.joints_px) - rolled_deg + 180) % 360 - 180
+        seen = in_sight(keypoints.joints_px, self.size, views.smallest_box_px)
+        again = np.flatnonzero(seen & (np.abs(off_deg) > views.upright_within_deg))
+        if not len(again):
+            return found
+        joints_px, sides = keypoints.joints_px[again], keypoints.sides[again]
+        crops = self.joint_crops(found.masks, found.boxes.boxes_px, joints_px, sides)
+        return found._replace(keypoints=keypoints.replaced(again, self.stages.keypoints(crops)))
+
     def decided(self, found: Detection, trail: Trail | None) -> Detection:
         """The hands that candidates with keypoints are, and where they help seen again.
 
@@ -151,7 +179,8 @@ class HandFinder:
         overlap = box_iou(found.boxes.boxes_px[sides], boxes.boxes_px[sides])
         again = changed | (overlap < self.card.views.recrop_below_iou)
         if again.any():
-            second = self.stages.keypoints(self.crops(found.masks, boxes.boxes_px, sides[again]))
+            joints_px = keypoints.joints_px[again]
+            second = self.stages.keypoints(self.joint_crops(found.masks, boxes.boxes_px, joints_px, sides[again]))
             keypoints = keypoints.replaced(np.flatnonzero(again), second)
             boxes = self.joint_boxed(found.boxes, keypoints)
         return found._replace(boxes=boxes, keypoints=keypoints)

@@ -19,6 +19,7 @@ from twohands.inference.keypoints import NO_KEYPOINTS, given_heatmaps
 from twohands.inference.placement import hand_poses, refine
 from twohands.inference.stages import NO_TRUTH, Stages, StageTruth, check_picture
 from twohands.inference.trail import Trail
+from twohands.inference.views import lifted
 from twohands.inference.weights import DEFAULT_PRESET, WeightsCard, preset_folder, read_card
 from twohands.types import HandPose, PinholeCamera, TwoHandPose
 
@@ -122,6 +123,7 @@ class HandEstimator:
         found = Detection(masks, boxes, self.stages.keypoints(crops, maps).corrected(truth.joints_px))
         if known_boxes or truth.heatmaps is not None or truth.joints_px is not None:
             return found
+        found = finder.uprighted(found)
         if truth.present is not None or not self.card.decides:
             return finder.recropped(found)
         return finder.decided(found, trail)
@@ -133,7 +135,8 @@ class HandEstimator:
         keypoints, boxes, sides = found.keypoints, found.boxes, found.keypoints.sides
         if not len(sides):
             return HandPose(present=False), HandPose(present=False)
-        canonical = self.stages.lift(keypoints) if truth.canonical is None else truth.canonical[sides]
+        canonical = truth.canonical
+        canonical = lifted(self.stages, keypoints, finder.camera) if canonical is None else canonical[sides]
         lengths_m = np.broadcast_to(hand_length_m, (2,))[sides]
         estimated = truth.heatmaps is None and truth.joints_px is None and truth.canonical is None
         if estimated and self.card.views.looks_again:

@@ -50,7 +50,8 @@ def followed_hands(finder: HandFinder, trail: Trail, time: float) -> Detection |
     if boxes is None:
         return None
     masks = moved_masks(trail, expected_px)
-    crops = finder.crops(masks, boxes.boxes_px, np.flatnonzero(boxes.present))
+    present = np.flatnonzero(boxes.present)
+    crops = finder.joint_crops(masks, boxes.boxes_px, expected_px[present], present)
     found = finder.recropped(Detection(masks, boxes, finder.stages.keypoints(crops)))
     sides = found.keypoints.sides
     if (strayed(expected_px[sides], found.keypoints.joints_px) > FARTHEST).any():

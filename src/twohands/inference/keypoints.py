@@ -20,6 +20,7 @@ from twohands.geometry.boxes import (
     mirrored_columns,
     perspective_crop,
     points_from_crops,
+    rolled_box,
     square_crop,
 )
 from twohands.geometry.composition import compose_hand_input
@@ -132,6 +133,14 @@ def crop_hand(
 def cuttable(card: WeightsCard, box_px: np.ndarray, camera: PinholeCamera) -> np.ndarray:
     """An estimated box, smaller where a wide camera's crop could not show all of it (`box_before_camera`)."""
     return box_before_camera(box_px, camera) if card.crop_kind == "perspective" else box_px
+
+
+def rolled_hand_box(
+    card: WeightsCard, joints_px: np.ndarray, image_size: tuple[int, int], camera: PinholeCamera, roll_deg: float
+) -> np.ndarray:
+    """Box (4,) for `crop_hand` of joints (21, 2), in pixels of a picture of size (H, W), as a rolled camera sees it."""
+    from_rolled = image_from_rolled(camera, rotation_about_z(math.radians(roll_deg)))
+    return cuttable(card, rolled_box(joints_px, image_size, from_rolled), camera)
 
 
 def mirror_crop(crop: HandCrop) -> HandCrop:

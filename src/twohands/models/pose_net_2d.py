@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from twohands.errors import InputError
 from twohands.models.blocks import BasicBlock, calm_output, conv_bn_relu, initialise, scaled
-from twohands.models.efficientnet import PretrainedEncoderDecoder
+from twohands.models.efficientnet import HANDS, LITE0, PretrainedEncoderDecoder
 from twohands.models.encoder_decoder import EncoderDecoder
 from twohands.skeleton import N_JOINTS
 
@@ -22,8 +22,10 @@ CROP_STEP = 32
 """Crops have a multiple of so many rows and columns: the encoder-decoder halves them five times."""
 
 
-PoseNet2DVariant = Literal["cpm9", "vgg", "encoder-decoder", "efficientnet-lite0"]
-U_SHAPES = ("encoder-decoder", "efficientnet-lite0")
+PoseNet2DVariant = Literal["cpm9", "vgg", "encoder-decoder", "efficientnet-lite0", "mediapipe-hands"]
+PRETRAINED = {"efficientnet-lite0": LITE0, "mediapipe-hands": HANDS}
+"""Variants with a published encoder, and which."""
+U_SHAPES = ("encoder-decoder", *PRETRAINED)
 """Variants that see the whole crop at their bottom: one stage, maps at stride 4, and room for judge and cues."""
 
 
@@ -33,8 +35,9 @@ class PoseNet2DConfig:
 
     variant: PoseNet2DVariant = "cpm9"
     """cpm9: convolutional pose machine with 9x9 convolutions (the paper's); vgg: pose machine on 3x3 convolutions;
-    encoder-decoder: slim residual U-shape (ours), see `models.encoder_decoder`; efficientnet-lite0: U-shape on an
-    encoder that knows photographs (ours), see `models.efficientnet`."""
+    encoder-decoder: slim residual U-shape (ours), see `models.encoder_decoder`; efficientnet-lite0 and
+    mediapipe-hands: U-shape on an encoder that knows photographs, of anything or of hands (ours), see
+    `models.efficientnet`."""
     crop_size: int = 256
     """Rows and columns of the input crop, a multiple of `CROP_STEP`; the paper's is 256."""
     stages: int = 6
@@ -161,15 +164,15 @@ class PoseNet2D(nn.Module):
         self.net: EncoderDecoder | PretrainedEncoderDecoder | PoseMachine
         if config.variant == "encoder-decoder":
             self.net = EncoderDecoder(maps, config.width)
-        elif config.variant == "efficientnet-lite0":
-            self.net = PretrainedEncoderDecoder(maps, config.width)
+        elif config.variant in PRETRAINED:
+            self.net = PretrainedEncoderDecoder(maps, config.width, layout=PRETRAINED[config.variant])
         else:
             self.net = PoseMachine(config)
         self.judge, self.judge_trunk = None, nn.Identity()
         if not isinstance(self.net, PoseMachine) and config.judge:
             channels = self.net.bottom_channels
             if isinstance(self.net, PretrainedEncoderDecoder):
-                # ImageNet's pictures are shown mirrored too: its encoder has been taught not to tell left from right.
+                # What tells left from right is learnt here: ImageNet's pictures are shown mirrored too.
                 self.judge_trunk = judge_trunk(channels, TRUNK_CHANNELS)
                 channels = TRUNK_CHANNELS
             self.judge = nn.Sequential(nn.Linear(channels, 64), nn.ReLU(), nn.Linear(64, 1))

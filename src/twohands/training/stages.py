@@ -70,13 +70,15 @@ def prepare_encoder(network: nn.Module, config: TrainConfig, *, fresh: bool) -> 
         fresh: whether its weights are random so far: then they are replaced by the published ones.
 
     Raises:
+        InputError: their file is not named.
         MissingExtraError: the published weights are not installed.
+        CheckpointError: they are not what is expected.
     """
     encoder = encoder_of(network)
     if encoder is None or not config.pretrained:
         return
     if fresh:
-        load_published(encoder)
+        load_published(encoder, config.encoder)
     freeze_batch_norm(encoder)
     frozen = config.optim.frozen_levels
     last = LEVELS[frozen - 1] if frozen else -1
