@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -235,7 +236,8 @@ def _rolled_camera(
     """(3, 3) rotation about z to the camera that sees a hand of joints (21, 2), of which some are known, (21,) bool."""
     if rng is None or rng.random() >= crop.upright or not known[[WRIST, ROOT]].all():
         return random_roll(crop.roll, rng)
-    return rotation_about_z(np.radians(upright_roll_deg(joints_px) + rng.normal(0, UPRIGHT_ERROR_DEG)))
+    roll_deg = float(upright_roll_deg(joints_px)) + rng.normal(0, UPRIGHT_ERROR_DEG)
+    return rotation_about_z(math.radians(roll_deg))
 
 
 def shows_other_hand(sample: HandSample, side: int, predicted: Segmentation) -> bool:
