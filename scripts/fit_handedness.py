@@ -284,7 +284,7 @@ def seen(estimator: HandEstimator, sample: HandSample, kind: str, scene: int, ea
         evidence = Evidence(size, boxes.boxes_px, maps, unseen, unseen)
         return Seen(kind, scene, sample.present, evidence, last, distance, boxes_px, outcome, earlier)
     crops = finder.crops(masks, boxes.boxes_px, sides)
-    found = finder.uprighted(Detection(masks, boxes, estimator.stages.keypoints(crops)))
+    found = Detection(masks, boxes, finder.looked(masks, boxes.boxes_px, crops))
     evidence, views = finder.evidence(found, None)
     possible = np.isfinite(first_features(evidence)[:, 0])
     pairs = tuple(ANSWERS.index(pair) for pair in ((0, 1), (1, 0)))

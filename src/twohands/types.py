@@ -167,6 +167,7 @@ class HandCrop:
         side: LEFT or RIGHT.
         mirrored: whether the crop was flipped, so that the network sees a left-like hand.
         roll_deg: of the camera that sees it so, about its line of sight; 0 is that of the picture.
+        pair: of pose networks that it was cut for: 0, or 1 for a preset's second ones.
     """
 
     image: np.ndarray
@@ -174,6 +175,7 @@ class HandCrop:
     side: int
     mirrored: bool
     roll_deg: float = 0.0
+    pair: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -106,6 +106,7 @@ def test_a_folder_is_taken_before_a_shipped_preset_of_its_name(tiny, tmp_path, m
         (lambda card: card["hand_seg_net"].update(network_input="x / 255"), "network_input must be"),
         (lambda card: card.update(networks={"hand_seg_net": "../elsewhere"}), "folders beside the card's"),
         (lambda card: card.update(networks={"hand_seg_net": ""}), "folders beside the card's"),
+        (lambda card: card.update(second="../fast"), "second must name folders beside"),
         (lambda card: card.update(networks={"hand_net": "fast"}), "networks names unknown networks, hand_net"),
         (lambda card: card.update(networks="fast"), "card: "),
     ],
@@ -188,6 +189,32 @@ def test_a_preset_with_networks_of_its_own_takes_the_others_of_another_one(copie
     (own / "card.json").write_text(json.dumps(card))
     homes = {name: path.parent for name, path in network_files(own, read_card(own)).items()}
     assert homes == {"hand_seg_net": copied, "pose_net_2d": own, "pose_net_3d": own}
+
+
+def test_the_pose_networks_of_a_second_preset_see_every_hand_as_well(copied, tmp_path):
+    """Both of them, in crops of their own size; a preset without them is another one."""
+    other = write_tiny_weights(tmp_path / "other", crop_size=64, map_size=16)
+    card = json.loads((copied / "card.json").read_text())
+    alone = weights_id(copied, read_card(copied))
+    card |= {"second": "other", "decision": {"second": {"second": 1.0}}, "views": {"tta_rolls_deg": [15]}}
+    (copied / "card.json").write_text(json.dumps(card))
+    found = read_card(copied)
+    assert weights_id(copied, found) != alone
+    networks, seen, lifted = load_networks(copied, found), [], []
+    second = networks.second
+    assert second is not None and second.card == read_card(other)
+    noted = dataclasses.replace(
+        second,
+        pose_net_2d=lambda x: seen.append(x.shape[2:]) or second.pose_net_2d(x),
+        pose_net_3d=lambda maps: lifted.append(maps.shape[2:]) or second.pose_net_3d(maps),
+    )
+    estimator = HandEstimator(dataclasses.replace(networks, second=noted), found)
+    pose = estimator.estimate(np.zeros((48, 80, 3), np.uint8), PinholeCamera.from_fov(90.0, 80, 48))
+    assert pose.left.present and pose.right.present
+    assert (seen, lifted) == ([(64, 64)] * 2, [(16, 16)] * 2)
+    shutil.rmtree(other)
+    with pytest.raises(CheckpointError, match="other"):
+        read_card(copied)
 
 
 def test_missing_and_damaged_cards_are_refused(copied):

@@ -60,6 +60,8 @@ class ViewConfig:
     upright_within_deg: float = 180.0
     """How far from up a hand's fingers may point before PoseNet2D sees it again, as a camera does that is rolled so
     that they point up; and every further crop of it is rolled so. 180: none ever is."""
+    second_below_score: float = 0.95
+    """Mean score of its joints below which the second pose networks, of a preset that has some, see a hand as well."""
     turns_deg: tuple[float, ...] = ()
     """Further views of doubtful hands alone: of all these views of one, that with the surest joints counts."""
     turn_below_score: float = 0.9
@@ -113,6 +115,13 @@ LAST_FEATURES: Final = ("hand", "first", "pose", "joints", "size", "swapped", "b
 """What the last decision weighs; `handedness.last_features` says what each is."""
 
 
+SECOND_FEATURES: Final = (
+    *("second", "first_doubt", "second_doubt", "first_pose", "second_pose", "apart"),
+    *("first_doubt_apart", "second_doubt_apart"),
+)
+"""What says which pair of pose networks knows a hand; `second_look.second_features` says what each is."""
+
+
 @dataclass(frozen=True, slots=True)
 class DecisionConfig:
     """Which hands are there, and whose (`inference.handedness`). A "logit" is log-odds.
@@ -128,6 +137,8 @@ class DecisionConfig:
     """The same of `LAST_FEATURES`, after the last view of a hand."""
     fit: Mapping[str, Any] = field(default_factory=dict)
     """How the weights were fitted, for the reader."""
+    second: Mapping[str, float] = field(default_factory=dict)
+    """The same of `SECOND_FEATURES`, of a preset with second pose networks; fitted by scripts/fit_second_look.py."""
     presence_threshold: float = PRESENCE_THRESHOLD
     """HandSegNet's score (`geometry.segmentation.hand_scores`) of a hand, where it decides alone."""
     candidate_threshold: float = 0.03
@@ -146,7 +157,7 @@ class DecisionConfig:
     an estimator that names sides without saying how sure it is."""
 
     def __post_init__(self) -> None:
-        for name, known in (("first", FIRST_FEATURES), ("last", LAST_FEATURES)):
+        for name, known in (("first", FIRST_FEATURES), ("last", LAST_FEATURES), ("second", SECOND_FEATURES)):
             weights = getattr(self, name)
             unknown = sorted(set(weights) - set(known))
             if unknown:

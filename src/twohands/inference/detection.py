@@ -23,6 +23,7 @@ from twohands.inference.handedness import (
     rescore,
 )
 from twohands.inference.keypoints import Keypoints, cuttable, in_sight, joint_boxes, mirror_crop, rolled_hand_box
+from twohands.inference.second_look import doubted, knows_better
 from twohands.inference.side_decision import assign_in_clip
 from twohands.inference.side_keeping import NOTHING_KNOWN
 from twohands.inference.stages import Stages
@@ -86,40 +87,76 @@ class HandFinder:
         return self.image.shape[0], self.image.shape[1]
 
     def crops(
-        self, masks: np.ndarray, boxes_px: np.ndarray, sides: np.ndarray, *, estimated: bool = True
+        self, masks: np.ndarray, boxes_px: np.ndarray, sides: np.ndarray, *, estimated: bool = True, pair: int = 0
     ) -> list[HandCrop]:
-        """Crops of the given sides' boxes, boxes_px (2, 4); only estimated ones may be made smaller (`cuttable`)."""
-        chosen = [cuttable(self.card, box, self.camera) if estimated else box for box in boxes_px[sides]]
+        """Crops of the given sides' boxes, boxes_px (2, 4), for a pair of pose networks; only estimated boxes may be
+        made smaller (`cuttable`)."""
+        stages = self.stages.of_pair(pair)
+        chosen = [cuttable(stages.card, box, self.camera) if estimated else box for box in boxes_px[sides]]
         hands = zip(chosen, sides, strict=True)
-        return [self.stages.crop(self.image, masks, box, int(side), self.camera) for box, side in hands]
+        return [stages.crop(self.image, masks, box, int(side), self.camera) for box, side in hands]
+
+    def looked(
+        self, masks: np.ndarray, boxes_px: np.ndarray, crops: list[HandCrop], joints_px: np.ndarray | None = None
+    ) -> Keypoints:
+        """Keypoints of crops by the first pose networks; where the second ones know a hand better, by these.
+
+        Args:
+            masks: of the picture.
+            boxes_px: (2, 4) of LEFT and RIGHT, of which the crops were cut.
+            crops: B of them.
+            joints_px: (B, 21, 2) where the joints are expected; None where nothing is known.
+        """
+        first = self._uprighted(masks, boxes_px, self.stages.keypoints(crops))
+        rows = np.flatnonzero(doubted(first, self.card.views.second_below_score))
+        if self.stages.second is None or not len(rows):
+            return first
+        sides = first.sides[rows]
+        if joints_px is None:
+            closer = self.crops(masks, boxes_px, sides, pair=1)
+        else:
+            closer = self.joint_crops(masks, boxes_px, joints_px[rows], sides, np.ones(len(rows), int))
+        second = self._uprighted(masks, boxes_px, self.stages.keypoints(closer))
+        better = np.flatnonzero(knows_better(first.rows(rows), second, self.card.decision))
+        return first.replaced(rows[better], second.rows(better))
 
     def joint_crops(
-        self, masks: np.ndarray, boxes_px: np.ndarray, joints_px: np.ndarray, sides: np.ndarray
+        self, masks: np.ndarray, boxes_px: np.ndarray, joints_px: np.ndarray, sides: np.ndarray, pairs: np.ndarray
     ) -> list[HandCrop]:
-        """Crops of hands of which joints are known: of the given sides' boxes, boxes_px (2, 4); or where the card says
-        so as cameras see the joints, (B, 21, 2), that are rolled so that the fingers point up."""
-        crops = self.crops(masks, boxes_px, sides)
-        if not self.card.views.upright:
-            return crops
-        rolls_deg = upright_roll_deg(joints_px)
-        for row in np.flatnonzero(in_sight(joints_px, self.size, self.card.views.smallest_box_px)):
-            side, roll_deg = int(sides[row]), float(rolls_deg[row])
-            box_px = rolled_hand_box(self.card, joints_px[row], self.size, self.camera, roll_deg)
-            crops[row] = self.stages.crop(self.image, masks, box_px, side, self.camera, roll_deg)
+        """Crops of B hands of which joints are known.
+
+        Args:
+            masks: of the picture.
+            boxes_px: (2, 4) of LEFT and RIGHT, to which the hands are cut.
+            joints_px: (B, 21, 2), to which they are cut where the card of their pose networks says so: as cameras see
+                them that are rolled so that the fingers point up.
+            sides, pairs: (B,) LEFT or RIGHT, and for which pose networks.
+        """
+        crops, rolls_deg = [], upright_roll_deg(joints_px)
+        seen = in_sight(joints_px, self.size, self.card.views.smallest_box_px)
+        for row, (side, pair) in enumerate(zip(sides.tolist(), pairs.tolist(), strict=True)):
+            stages = self.stages.of_pair(pair)
+            if seen[row] and stages.card.views.upright:
+                roll_deg = float(rolls_deg[row])
+                box_px = rolled_hand_box(stages.card, joints_px[row], self.size, self.camera, roll_deg)
+                crops.append(stages.crop(self.image, masks, box_px, side, self.camera, roll_deg))
+            else:
+                crops += self.crops(masks, boxes_px, np.array([side]), pair=pair)
         return crops
 
-    def uprighted(self, found: Detection) -> Detection:
+    def _uprighted(self, masks: np.ndarray, boxes_px: np.ndarray, keypoints: Keypoints) -> Keypoints:
         """Hands whose fingers point farther from up than `ViewConfig.upright_within_deg`, seen again."""
-        keypoints, views = found.keypoints, self.card.views
+        cards = [self.stages.of_pair(crop.pair).card for crop in keypoints.crops]
+        within_deg = np.array([card.views.upright_within_deg for card in cards])
         rolled_deg = np.array([crop.roll_deg for crop in keypoints.crops])
         off_deg = (upright_roll_deg(keypoints.joints_px) - rolled_deg + 180) % 360 - 180
-        seen = in_sight(keypoints.joints_px, self.size, views.smallest_box_px)
-        again = np.flatnonzero(seen & (np.abs(off_deg) > views.upright_within_deg))
+        seen = in_sight(keypoints.joints_px, self.size, self.card.views.smallest_box_px)
+        again = np.flatnonzero(seen & (np.abs(off_deg) > within_deg))
         if not len(again):
-            return found
-        joints_px, sides = keypoints.joints_px[again], keypoints.sides[again]
-        crops = self.joint_crops(found.masks, found.boxes.boxes_px, joints_px, sides)
-        return found._replace(keypoints=keypoints.replaced(again, self.stages.keypoints(crops)))
+            return keypoints
+        one = keypoints.rows(again)
+        crops = self.joint_crops(masks, boxes_px, one.joints_px, one.sides, one.pairs)
+        return keypoints.replaced(again, self.stages.keypoints(crops))
 
     def decided(self, found: Detection, trail: Trail | None) -> Detection:
         """The hands that candidates with keypoints are, and where they help seen again.
@@ -179,9 +216,9 @@ class HandFinder:
         overlap = box_iou(found.boxes.boxes_px[sides], boxes.boxes_px[sides])
         again = changed | (overlap < self.card.views.recrop_below_iou)
         if again.any():
-            joints_px = keypoints.joints_px[again]
-            second = self.stages.keypoints(self.joint_crops(found.masks, boxes.boxes_px, joints_px, sides[again]))
-            keypoints = keypoints.replaced(np.flatnonzero(again), second)
+            one = keypoints.rows(np.flatnonzero(again))
+            crops = self.joint_crops(found.masks, boxes.boxes_px, one.joints_px, one.sides, one.pairs)
+            keypoints = keypoints.replaced(np.flatnonzero(again), self.stages.keypoints(crops))
             boxes = self.joint_boxed(found.boxes, keypoints)
         return found._replace(boxes=boxes, keypoints=keypoints)
 

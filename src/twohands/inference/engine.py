@@ -19,13 +19,27 @@ import numpy as np
 from twohands.errors import CheckpointError
 from twohands.inference.int8 import quantise
 from twohands.inference.runtime import open_core, read_network
-from twohands.inference.weights import WeightsCard, network_files
+from twohands.inference.weights import WeightsCard, network_files, read_card, second_folder
 from twohands.skeleton import N_JOINTS
 
 HEAVY_LAYERS = ("Convolution", "FullyConnected", "MatMul")
 """OpenVINO's names of the layers that take nearly all the time."""
 
 NO_PEAKS: Final[Mapping[str, float]] = MappingProxyType({})
+
+
+@dataclass(frozen=True, slots=True)
+class SecondNetworks:
+    """Pose networks that learnt otherwise than a preset's first ones, and what they expect.
+
+    Attributes:
+        card: of their own preset.
+        pose_net_2d, pose_net_3d: as in `Networks`.
+    """
+
+    card: WeightsCard
+    pose_net_2d: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+    pose_net_3d: Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,12 +53,14 @@ class Networks:
             side it was cut for, 0 from a network without a hand classifier.
         pose_net_3d: (B, 21 + cues, M, M) -> canonical joints (B, 21, 3) of a left-like hand.
         runtime: what runs them and in which arithmetic, for the reader.
+        second: pose networks that see hands as well; None without any.
     """
 
     hand_seg_net: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
     pose_net_2d: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
     pose_net_3d: Callable[[np.ndarray], np.ndarray]
     runtime: str = "functions"
+    second: SecondNetworks | None = None
 
 
 class OpenVinoNetwork:
@@ -142,7 +158,7 @@ class OpenVinoNetwork:
 
 
 def load_networks(folder: Path, card: WeightsCard, threads: int = 0) -> Networks:
-    """Compile the three networks of a preset's folder.
+    """Compile the networks of a preset's folder, and the pose networks of its second.
 
     Args:
         folder: of the preset.
@@ -153,33 +169,48 @@ def load_networks(folder: Path, card: WeightsCard, threads: int = 0) -> Networks
         CheckpointError: a file is missing, damaged, or holds another network.
     """
 
-    files = network_files(folder, card)
-
-    def compiled(name: str, inputs: int, *outputs: int) -> OpenVinoNetwork:
+    def compiled(folder: Path, card: WeightsCard, name: str, inputs: int, *outputs: int) -> OpenVinoNetwork:
         return OpenVinoNetwork(
-            files[name],
+            network_files(folder, card)[name],
             input_channels=inputs,
             output_channels=outputs,
             threads=threads,
             int8_peaks=card.int8.get(name, NO_PEAKS),
         )
 
-    seg = compiled("hand_seg_net", 3, 3, 2)
-    maps = N_JOINTS + card.cues
-    pose_2d = compiled("pose_net_2d", 3, maps, *([1] if card.hand_logit else []))
-    pose_3d = compiled("pose_net_3d", maps, N_JOINTS)
-    arithmetic = " and ".join(sorted(seg.arithmetic | pose_2d.arithmetic | pose_3d.arithmetic))
+    def pose_networks(folder: Path, card: WeightsCard) -> tuple[OpenVinoNetwork, OpenVinoNetwork]:
+        maps = N_JOINTS + card.cues
+        outputs = (maps, 1) if card.hand_logit else (maps,)
+        return compiled(folder, card, "pose_net_2d", 3, *outputs), compiled(folder, card, "pose_net_3d", maps, N_JOINTS)
+
+    seg, first = compiled(folder, card, "hand_seg_net", 3, 3, 2), pose_networks(folder, card)
+    used, second = [seg, *first], None
+    if card.second:
+        other = second_folder(folder, card)
+        others_card = read_card(other)
+        others = pose_networks(other, others_card)
+        used += others
+        second = SecondNetworks(others_card, *_pose_functions(*others))
+    arithmetic = " and ".join(sorted({kind for network in used for kind in network.arithmetic}))
     runtime = f"OpenVINO on {seg.threads} thread{'s'[: seg.threads > 1]} in {arithmetic}"
 
     def hand_seg_net(batch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         seg_logits, energy_logits = seg(batch)
         return seg_logits, energy_logits
 
+    return Networks(hand_seg_net, *_pose_functions(*first), runtime, second)
+
+
+def _pose_functions(
+    pose_2d: OpenVinoNetwork, pose_3d: OpenVinoNetwork
+) -> tuple[Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], Callable[[np.ndarray], np.ndarray]]:
+    """`pose_net_2d` and `pose_net_3d` of `Networks`."""
+
     def pose_net_2d(batch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         heatmaps, *judged = pose_2d(batch)
         return heatmaps, judged[0][:, 0] if judged else np.zeros(len(batch), np.float32)
 
-    return Networks(hand_seg_net, pose_net_2d, lambda batch: pose_3d(batch)[0], runtime)
+    return pose_net_2d, lambda batch: pose_3d(batch)[0]
 
 
 def _size(port: Any) -> tuple[int, ...]:

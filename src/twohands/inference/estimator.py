@@ -119,11 +119,13 @@ class HandEstimator:
         if not len(sides):
             return Detection(masks, boxes, NO_KEYPOINTS)
         crops = finder.crops(masks, boxes.boxes_px, sides, estimated=not known_boxes)
-        maps = None if truth.heatmaps is None else given_heatmaps(self.card, truth.heatmaps, crops)
-        found = Detection(masks, boxes, self.stages.keypoints(crops, maps).corrected(truth.joints_px))
+        if truth.heatmaps is None:
+            keypoints = finder.looked(masks, boxes.boxes_px, crops)
+        else:
+            keypoints = self.stages.keypoints(crops, given_heatmaps(self.card, truth.heatmaps, crops))
+        found = Detection(masks, boxes, keypoints.corrected(truth.joints_px))
         if known_boxes or truth.heatmaps is not None or truth.joints_px is not None:
             return found
-        found = finder.uprighted(found)
         if truth.present is not None or not self.card.decides:
             return finder.recropped(found)
         return finder.decided(found, trail)

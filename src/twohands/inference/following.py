@@ -51,8 +51,9 @@ def followed_hands(finder: HandFinder, trail: Trail, time: float) -> Detection |
         return None
     masks = moved_masks(trail, expected_px)
     present = np.flatnonzero(boxes.present)
-    crops = finder.joint_crops(masks, boxes.boxes_px, expected_px[present], present)
-    found = finder.recropped(Detection(masks, boxes, finder.stages.keypoints(crops)))
+    crops = finder.joint_crops(masks, boxes.boxes_px, expected_px[present], present, np.zeros(len(present), int))
+    keypoints = finder.looked(masks, boxes.boxes_px, crops, expected_px[present])
+    found = finder.recropped(Detection(masks, boxes, keypoints))
     sides = found.keypoints.sides
     if (strayed(expected_px[sides], found.keypoints.joints_px) > FARTHEST).any():
         return None

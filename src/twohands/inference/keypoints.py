@@ -39,14 +39,14 @@ class Keypoints:
 
     Attributes:
         crops: B of them.
-        heatmaps: (B, 21 + cues, M, M).
+        heatmaps: B times (21 + cues, M, M), of which every pair of pose networks has its own M and cues.
         joints_px: (B, 21, 2) pixels of the picture.
         joint_scores: (B, 21) 0..1.
         hand_logits: (B,) log-odds that a crop shows a hand of its side.
     """
 
     crops: list[HandCrop]
-    heatmaps: np.ndarray
+    heatmaps: list[np.ndarray]
     joints_px: np.ndarray
     joint_scores: np.ndarray
     hand_logits: np.ndarray
@@ -56,10 +56,16 @@ class Keypoints:
         """(B,) LEFT or RIGHT of every crop."""
         return np.array([crop.side for crop in self.crops], int)
 
+    @property
+    def pairs(self) -> np.ndarray:
+        """(B,) the pair of pose networks that saw every crop."""
+        return np.array([crop.pair for crop in self.crops], int)
+
     def rows(self, chosen: Sequence[int] | np.ndarray) -> Keypoints:
         """Some of the crops."""
         rows = np.asarray(chosen, int)
-        return Keypoints([self.crops[i] for i in rows], *(values[rows] for values in self._arrays()))
+        lists = ([values[i] for i in rows] for values in (self.crops, self.heatmaps))
+        return Keypoints(*lists, *(values[rows] for values in self._arrays()))
 
     def replaced(self, rows: np.ndarray, other: Keypoints) -> Keypoints:
         """The same, with other crops in some rows."""
@@ -73,7 +79,9 @@ class Keypoints:
         if len(parts) == 1:
             return parts[0]
         arrays = zip(*(part._arrays() for part in parts), strict=True)
-        return Keypoints([crop for part in parts for crop in part.crops], *(np.concatenate(each) for each in arrays))
+        crops = [crop for part in parts for crop in part.crops]
+        heatmaps = [maps for part in parts for maps in part.heatmaps]
+        return Keypoints(crops, heatmaps, *(np.concatenate(each) for each in arrays))
 
     def corrected(self, joints_px: np.ndarray | None) -> Keypoints:
         """The same with known joints, (2, 21, 2) pixels by side, NaN where unknown, or None; they have a score of 1."""
@@ -88,12 +96,10 @@ class Keypoints:
         )
 
     def _arrays(self) -> tuple[np.ndarray, ...]:
-        return self.heatmaps, self.joints_px, self.joint_scores, self.hand_logits
+        return self.joints_px, self.joint_scores, self.hand_logits
 
 
-NO_KEYPOINTS: Final = Keypoints(
-    [], np.zeros((0, N_JOINTS, 1, 1)), np.zeros((0, N_JOINTS, 2)), np.zeros((0, N_JOINTS)), np.zeros(0)
-)
+NO_KEYPOINTS: Final = Keypoints([], [], np.zeros((0, N_JOINTS, 2)), np.zeros((0, N_JOINTS)), np.zeros(0))
 """Of a picture without a candidate."""
 
 
@@ -105,6 +111,8 @@ def crop_hand(
     side: int,
     camera: PinholeCamera,
     roll_deg: float = 0.0,
+    *,
+    pair: int = 0,
 ) -> HandCrop:
     """Stage 2: the hand's square picture; the rest black or dimmed, a right hand mirrored.
 
@@ -115,6 +123,7 @@ def crop_hand(
         side: LEFT or RIGHT.
         camera: of the image.
         roll_deg: of the camera that sees the crop, about its line of sight; 0 is that of the image.
+        pair: of pose networks whose card it is.
 
     Raises:
         InputError: there is no such crop (`perspective_crop`, `square_crop`).
@@ -127,7 +136,7 @@ def crop_hand(
     if roll_deg:
         image_from_crop = image_from_rolled(camera, rotation_about_z(math.radians(roll_deg))) @ image_from_crop
     composed = compose_hand_input(image, masks, image_from_crop, side, size, card.background)
-    return HandCrop(composed, image_from_crop, side, mirrored=side == RIGHT, roll_deg=roll_deg)
+    return HandCrop(composed, image_from_crop, side, mirrored=side == RIGHT, roll_deg=roll_deg, pair=pair)
 
 
 def cuttable(card: WeightsCard, box_px: np.ndarray, camera: PinholeCamera) -> np.ndarray:
@@ -148,7 +157,8 @@ def mirror_crop(crop: HandCrop) -> HandCrop:
     from_mirrored = mirrored_columns(crop.image.shape[1])
     image = np.ascontiguousarray(crop.image[:, ::-1])
     from_crop = crop.image_from_crop @ from_mirrored
-    return HandCrop(image, from_crop, 1 - crop.side, mirrored=not crop.mirrored, roll_deg=crop.roll_deg)
+    side, mirrored = 1 - crop.side, not crop.mirrored
+    return replace(crop, image=image, image_from_crop=from_crop, side=side, mirrored=mirrored)
 
 
 def locate(network: PoseNet2D, crops: list[HandCrop]) -> tuple[np.ndarray, np.ndarray]:

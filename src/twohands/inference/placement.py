@@ -41,7 +41,7 @@ def lift(network: Callable[[np.ndarray], np.ndarray], keypoints: Keypoints) -> n
         CheckpointError: the network answers in another shape.
     """
     unmirror = np.array([[-1.0 if crop.mirrored else 1.0, 1.0, 1.0] for crop in keypoints.crops])
-    joints = network(keypoints.heatmaps)
+    joints = network(np.stack(keypoints.heatmaps))
     if joints.shape != (expected := (len(keypoints.crops), N_JOINTS, 3)):
         raise CheckpointError(f"pose_net_3d: joints of shape {expected} expected, got {joints.shape}; it is damaged")
     return joints.astype(np.float64) * unmirror[:, None, :]

@@ -7,7 +7,7 @@ nobody changes an estimator that exists.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import partial
 
 import numpy as np
@@ -20,6 +20,7 @@ from twohands.inference.keypoints import Keypoints
 from twohands.inference.segmenter import HandMaps
 from twohands.inference.weights import WeightsCard
 from twohands.plausibility import camera_doubts, hand_length_doubts, warn
+from twohands.skeleton import N_JOINTS
 from twohands.types import GlobalPose, HandCrop, PinholeCamera
 
 
@@ -73,6 +74,8 @@ class Stages:
         read_out: heatmaps, crops -> joints (B, 21, 2) in pixels and scores (B, 21), `keypoints.read_out`.
         lift: keypoints -> canonical joints (B, 21, 3), `placement.lift`.
         place: canonical, joints_px, joint_scores, camera, lengths_m -> `placement.place`.
+        card: of the weights.
+        second: the same stages with the pose networks that look where these doubt; None without any.
     """
 
     hand_maps: Callable[[np.ndarray], HandMaps]
@@ -83,26 +86,58 @@ class Stages:
     read_out: Callable[[np.ndarray, list[HandCrop]], tuple[np.ndarray, np.ndarray]]
     lift: Callable[[Keypoints], np.ndarray]
     place: Callable[[np.ndarray, np.ndarray, np.ndarray, PinholeCamera, np.ndarray], GlobalPose]
+    card: WeightsCard
+    second: Stages | None = None
 
     @classmethod
-    def of(cls, networks: Networks, card: WeightsCard) -> Stages:
-        """The stages of a set of weights."""
+    def of(cls, networks: Networks, card: WeightsCard, pair: int = 0) -> Stages:
+        """The stages of a set of weights; `pair` is 1 for those of the second pose networks."""
+        second = None
+        if (known := networks.second) is not None:
+            poses = replace(networks, pose_net_2d=known.pose_net_2d, pose_net_3d=known.pose_net_3d, second=None)
+            second = cls.of(poses, known.card, 1)
         return cls(
             hand_maps=partial(segmenter.hand_maps, networks.hand_seg_net, card),
             boxes=partial(segmenter.candidate_boxes, card),
             masks=partial(segmenter.hand_masks, card),
-            crop=partial(keypoints.crop_hand, card),
+            crop=partial(keypoints.crop_hand, card, pair=pair),
             locate=partial(keypoints.locate, networks.pose_net_2d),
             read_out=partial(keypoints.read_out, card),
             lift=partial(placement.lift, networks.pose_net_3d),
             place=partial(placement.place, card.placement),
+            card=card,
+            second=second,
         )
 
+    def of_pair(self, pair: int) -> Stages:
+        """The stages with that pair of pose networks."""
+        return self if pair == 0 or self.second is None else self.second
+
     def keypoints(self, crops: list[HandCrop], heatmaps: np.ndarray | None = None) -> Keypoints:
-        """PoseNet2D and read-out of B crops, at least one; or read-out of known heatmaps (B, 21 + cues, M, M)."""
+        """PoseNet2D and read-out of B crops, at least one, each by the pair of networks that it was cut for; or
+        read-out of known heatmaps (B, 21 + cues, M, M)."""
+        pairs = np.array([crop.pair for crop in crops])
+        if self.second is not None and (pairs > 0).any():
+            own, others = np.flatnonzero(pairs == 0), np.flatnonzero(pairs)
+            seen = self.second.keypoints([crops[i] for i in others])
+            if not len(own):
+                return seen
+            joined = Keypoints.joined([self.keypoints([crops[i] for i in own]), seen])
+            return joined.rows(np.argsort(np.concatenate([own, others])))
         maps, hand_logits = self.locate(crops) if heatmaps is None else (heatmaps, np.zeros(len(crops)))
         joints_px, joint_scores = self.read_out(maps, crops)
-        return Keypoints(crops, maps, joints_px, joint_scores, hand_logits)
+        return Keypoints(crops, list(maps), joints_px, joint_scores, hand_logits)
+
+    def lifted(self, keypoints: Keypoints) -> np.ndarray:
+        """Canonical joints (B, 21, 3) of B hands, each by the pair of networks that saw it."""
+        second = np.flatnonzero(keypoints.pairs)
+        if self.second is None or not len(second):
+            return self.lift(keypoints)
+        canonical = np.zeros((len(keypoints.crops), N_JOINTS, 3))
+        canonical[second] = self.second.lift(keypoints.rows(second))
+        if len(first := np.flatnonzero(keypoints.pairs == 0)):
+            canonical[first] = self.lift(keypoints.rows(first))
+        return canonical
 
 
 def check_picture(image: np.ndarray, camera: PinholeCamera, hand_length_m: float | np.ndarray) -> None:

@@ -107,8 +107,9 @@ class HandViewer:
         crops, size = [], (self.image.shape[0], self.image.shape[1])
         for joints_px, crop in zip(first.joints_px, first.crops, strict=True):
             roll_deg = crop.roll_deg + further_deg
-            box_px = rolled_hand_box(self.card, joints_px, size, self.camera, roll_deg)
-            crops.append(self.stages.crop(self.image, self.masks, box_px, crop.side, self.camera, roll_deg))
+            own = self.stages.of_pair(crop.pair)
+            box_px = rolled_hand_box(own.card, joints_px, size, self.camera, roll_deg)
+            crops.append(own.crop(self.image, self.masks, box_px, crop.side, self.camera, roll_deg))
         again = self.stages.keypoints(crops)
         return again, lifted(self.stages, again, self.camera)
 
@@ -124,7 +125,7 @@ def lifted(stages: Stages, keypoints: Keypoints, camera: PinholeCamera) -> np.nd
     Returns:
         (B, 21, 3) unitless.
     """
-    canonical = stages.lift(keypoints)
+    canonical = stages.lifted(keypoints)
     if not any(crop.roll_deg for crop in keypoints.crops):
         return canonical
     roots_px = keypoints.joints_px[:, ROOT]

@@ -31,6 +31,9 @@ A preset may take networks of another one; its card names the folder beside its 
                 "tta_rolls_deg": [15, -15]}
     }
 
+A preset may show hands to the pose networks of another one as well (`inference.views`); its card names that one's
+folder, beside its own, as "second".
+
 "views", "decision" and "placement" override any field of `inference.decision`'s records. Cards of version 1 had four of
 these elsewhere, under other names, and are read as well. Without weights in "decision" (scripts/fit_handedness.py),
 HandSegNet alone decides which hands are there, and whose.
@@ -80,6 +83,7 @@ class WeightsCard:
         cues: number of maps that PoseNet2D gives beside those of the joints, for PoseNet3D.
         networks: networks that the preset takes of another one -> name of that one's folder, beside its own.
         int8: networks that run in 8 bits -> name of every ReLU -> largest value after it (`inference.int8`).
+        second: name of the folder, beside its own, of a preset whose pose networks see hands as well; "" without.
         views, decision, placement: every hand-tuned number of the pipeline.
         network_input: how the values of pictures are normalised for both networks that see them.
     """
@@ -95,6 +99,7 @@ class WeightsCard:
     cues: int = 0
     networks: Mapping[str, str] = field(default_factory=dict)
     int8: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    second: str = ""
     views: ViewConfig = field(default_factory=ViewConfig)
     decision: DecisionConfig = field(default_factory=DecisionConfig)
     placement: PlacementConfig = field(default_factory=PlacementConfig)
@@ -117,9 +122,10 @@ class WeightsCard:
             unknown = sorted(set(named) - set(NETWORK_NAMES))
             if unknown:
                 raise CheckpointError(f"card: {key} names unknown networks, {', '.join(unknown)}")
-        for folder in self.networks.values():
-            if not folder or Path(folder).name != folder:
-                raise CheckpointError(f"card: networks must name folders beside the card's, got {folder!r}")
+        for key, folders in (("networks", self.networks.values()), ("second", [self.second] if self.second else [])):
+            for folder in folders:
+                if not folder or Path(folder).name != folder:
+                    raise CheckpointError(f"card: {key} must name folders beside the card's, got {folder!r}")
         if self.cues < 0:
             raise CheckpointError(f"card: pose_net_2d.cues must not be negative, got {self.cues}")
         if self.heatmap_decode not in HEATMAP_DECODERS:
@@ -163,6 +169,7 @@ class WeightsCard:
                 cues=int(pose.get("cues", 0)),
                 networks={str(name): str(folder) for name, folder in card.get("networks", {}).items()},
                 int8=_peaks(card.get("int8", {})),
+                second=str(card.get("second", "")),
                 views=overridden(ViewConfig(), _views(card.get("views", {}), (height, width)), "views"),
                 decision=overridden(DecisionConfig(), card.get("decision", {}), "decision"),
                 placement=overridden(PlacementConfig(), card.get("placement", {}), "placement"),
@@ -247,8 +254,16 @@ def read_card(folder: Path) -> WeightsCard:
     """Read `card.json` of a preset's folder.
 
     Raises:
-        CheckpointError: the card cannot be read, or a network's file is missing.
+        CheckpointError: the card cannot be read, or a network's file is missing; those of its second included.
     """
+    card = _read_card_alone(folder)
+    if card.second:
+        _read_card_alone(second_folder(folder, card))
+    return card
+
+
+def _read_card_alone(folder: Path) -> WeightsCard:
+    """`read_card`, whatever its second is."""
     path = folder / "card.json"
     try:
         card = parse_json(path.read_bytes())
@@ -278,9 +293,18 @@ def network_files(folder: Path, card: WeightsCard) -> dict[str, Path]:
     return {name: home / f"{name}.onnx" for name, home in homes.items()}
 
 
+def second_folder(folder: Path, card: WeightsCard) -> Path:
+    """The folder of the preset that a preset's card names as its second."""
+    return folder.resolve().parent / card.second
+
+
 def weights_id(folder: Path, card: WeightsCard) -> str:
     """Name and fingerprint of the weights in a preset's folder, the latter from its networks' bytes."""
     digest = hashlib.sha256()
-    for path in network_files(folder, card).values():
+    files = list(network_files(folder, card).values())
+    if card.second:
+        other = second_folder(folder, card)
+        files += network_files(other, read_card(other)).values()
+    for path in files:
         digest.update(path.read_bytes())
     return f"{card.name}@{digest.hexdigest()[:12]}"

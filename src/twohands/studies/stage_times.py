@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Any, Final
 
 from twohands.inference.estimator import HandEstimator
+from twohands.inference.stages import Stages
 from twohands.types import TwoHandPose
 
 STAGES: Final = {
@@ -65,6 +66,11 @@ class StageClock:
 
 def timed_estimate(estimator: HandEstimator, clock: StageClock) -> Callable[..., TwoHandPose]:
     """`estimate` of an estimator like this one, whose stages count on `clock` under the names in `ROWS`."""
-    plain = estimator.stages
-    stages = replace(plain, **{field: clock.timed(name, getattr(plain, field)) for field, name in STAGES.items()})
+    stages = _timed_stages(estimator.stages, clock)
     return clock.timed(REST, HandEstimator(estimator.networks, estimator.card, stages).estimate)
+
+
+def _timed_stages(plain: Stages, clock: StageClock) -> Stages:
+    """The same stages, those of second pose networks under the same names as the first's."""
+    timed = {field: clock.timed(name, getattr(plain, field)) for field, name in STAGES.items()}
+    return replace(plain, **timed, second=plain.second and _timed_stages(plain.second, clock))

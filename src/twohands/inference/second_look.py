@@ -1,0 +1,52 @@
+"""Which of two pairs of pose networks knows a hand.
+
+Ours. Networks that have learnt from renderings alone place the joints of rendered hands best; networks on an encoder
+that has seen real hands know those of people better. A preset may have both: where the first pair doubts, the second
+looks at the hand as well, and a logistic model whose weights the card holds says which one counts. Features in,
+decisions out; scripts/fit_second_look.py fits the weights.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from twohands.inference.decision import SECOND_FEATURES, DecisionConfig
+from twohands.inference.handedness import LOGIT_LIMIT, weight_vector
+from twohands.inference.keypoints import Keypoints
+
+_LEAST_DOUBT: Final = 0.01
+"""Added to what the mean score of a hand's joints lacks, before its logarithm is taken."""
+_LEAST_APART: Final = 0.02
+"""The same of how far the two pairs see the joints apart, in sizes of the hand."""
+
+
+def doubted(keypoints: Keypoints, below_score: float) -> np.ndarray:
+    """(B,) bool: the hands whose joints have a lower mean score."""
+    return keypoints.joint_scores.mean(axis=-1) < below_score
+
+
+def second_features(first: Keypoints, second: Keypoints) -> np.ndarray:
+    """What speaks for the second pair.
+
+    Args:
+        first, second: what the two pairs see of the same B hands.
+
+    Returns:
+        (B, F) values of `SECOND_FEATURES`: 1; the logarithm of what the mean scores of the joints lack, of either; the
+        log-odds of a hand, of either; the logarithm of the mean distance of the joints, in sizes of the hand; and its
+        products with the second and third.
+    """
+    size_px = np.maximum(np.ptp(first.joints_px, axis=1).max(axis=-1), 1e-9)
+    apart = np.linalg.norm(first.joints_px - second.joints_px, axis=-1).mean(axis=-1) / size_px
+    apart = np.log(_LEAST_APART + np.minimum(apart, 1.0))
+    doubts = [np.log(_LEAST_DOUBT + 1 - seen.joint_scores.mean(axis=-1)) for seen in (first, second)]
+    poses = [np.clip(seen.hand_logits, -LOGIT_LIMIT, LOGIT_LIMIT) for seen in (first, second)]
+    values = [np.ones(len(apart)), *doubts, *poses, apart, doubts[0] * apart, doubts[1] * apart]
+    return np.stack(values, axis=-1)
+
+
+def knows_better(first: Keypoints, second: Keypoints, config: DecisionConfig) -> np.ndarray:
+    """(B,) bool: whether the second pair knows a hand better."""
+    return second_features(first, second) @ weight_vector(config.second, SECOND_FEATURES) > 0
