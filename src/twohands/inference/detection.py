@@ -111,14 +111,26 @@ class HandFinder:
         rows = np.flatnonzero(doubted(first, self.card.views.second_below_score))
         if self.stages.second is None or not len(rows):
             return first
-        sides = first.sides[rows]
-        if joints_px is None:
-            closer = self.crops(masks, boxes_px, sides, pair=1)
-        else:
-            closer = self.joint_crops(masks, boxes_px, joints_px[rows], sides, np.ones(len(rows), int))
-        second = self._uprighted(masks, boxes_px, self.stages.keypoints(closer))
+        second = self._second(masks, boxes_px, first.sides[rows], None if joints_px is None else joints_px[rows])
         better = np.flatnonzero(knows_better(first.rows(rows), second, self.card.decision))
         return first.replaced(rows[better], second.rows(better))
+
+    def both_looked(
+        self, masks: np.ndarray, boxes_px: np.ndarray, crops: list[HandCrop]
+    ) -> tuple[Keypoints, Keypoints]:
+        """Keypoints by the first and by the second pose networks, whatever the first ones say; else as `looked`."""
+        first = self._uprighted(masks, boxes_px, self.stages.keypoints(crops))
+        return first, self._second(masks, boxes_px, first.sides, None)
+
+    def _second(
+        self, masks: np.ndarray, boxes_px: np.ndarray, sides: np.ndarray, joints_px: np.ndarray | None
+    ) -> Keypoints:
+        """Keypoints of the hands of some sides by the second pose networks; arguments as of `looked`."""
+        if joints_px is None:
+            crops = self.crops(masks, boxes_px, sides, pair=1)
+        else:
+            crops = self.joint_crops(masks, boxes_px, joints_px, sides, np.ones(len(sides), int))
+        return self._uprighted(masks, boxes_px, self.stages.keypoints(crops))
 
     def joint_crops(
         self, masks: np.ndarray, boxes_px: np.ndarray, joints_px: np.ndarray, sides: np.ndarray, pairs: np.ndarray

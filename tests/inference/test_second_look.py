@@ -1,0 +1,196 @@
+"""Which of two pairs of pose networks knows a hand, and what is asked of which."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scripts import fit_second_look
+from scripts.fit_second_look import Both
+from tests.oracles import Oracle, drawn_hands, make_card
+
+from twohands.geometry.boxes import apply_homography
+from twohands.geometry.canonical import canonical_from_camera
+from twohands.geometry.rotation import rotation_about_z
+from twohands.inference.decision import SECOND_FEATURES, DecisionConfig
+from twohands.inference.estimator import HandEstimator
+from twohands.inference.keypoints import Keypoints
+from twohands.inference.second_look import doubted, knows_better, second_features
+from twohands.inference.trail import Trail
+from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
+from twohands.types import HandCrop
+
+SAMPLE = drawn_hands(7)
+LENGTH_M = 0.1
+TRUSTED = {"second": {"second": 1.0}}
+
+
+def keypoints(scores, logits, shift_px=0.0) -> Keypoints:
+    """Of hands 100 pixels large, their joints moved to the right."""
+    count = len(scores)
+    joints_px = np.tile(np.linspace([0.0, 0.0], [100.0, 50.0], 21), (count, 1, 1)) + np.array([shift_px, 0.0])
+    crop = HandCrop(np.zeros((8, 8, 3), np.uint8), np.eye(3), LEFT, False)
+    scores = np.repeat(np.array(scores)[:, None], 21, axis=1)
+    return Keypoints([crop] * count, [np.zeros((21, 2, 2))] * count, joints_px, scores, np.array(logits))
+
+
+def test_what_speaks_for_the_second_pair_by_hand():
+    (values,) = second_features(keypoints([0.9], [2.0]), keypoints([0.5], [-9.0], shift_px=8.0))
+    first, second, apart = np.log(0.11), np.log(0.51), np.log(0.02 + 0.08)
+    named = dict(zip(SECOND_FEATURES, values, strict=True))
+    assert named == pytest.approx(
+        {
+            "second": 1,
+            "first_doubt": first,
+            "second_doubt": second,
+            "first_pose": 2,
+            "second_pose": -6,  # log-odds are limited
+            "apart": apart,
+            "first_doubt_apart": first * apart,
+            "second_doubt_apart": second * apart,
+        }
+    )
+
+
+def test_the_second_pair_counts_where_its_weights_say_so():
+    first, second = keypoints([0.9, 0.5], [0.0, 0.0]), keypoints([0.7, 0.7], [0.0, 0.0])
+    config = DecisionConfig(second={"first_doubt": 1.0, "second_doubt": -1.0})
+    assert knows_better(first, second, config).tolist() == [False, True]
+    assert not knows_better(first, second, DecisionConfig()).any(), "without weights the first pair counts"
+    assert doubted(first, 0.8).tolist() == [False, True]
+
+
+class Two:
+    """An estimator whose two pairs know the answer; the first is off by 3 pixels and has the scores that are given.
+    `seen` are the crops of either pair."""
+
+    def __init__(self, scores=(0.5, 0.9), decision=TRUSTED, **second_card) -> None:
+        self.seen: tuple[list[HandCrop], list[HandCrop]] = ([], [])
+        card = make_card(hand_logit=True, second_below_score=0.8)
+        card = dataclasses.replace(card, decision=dataclasses.replace(card.decision, **decision))
+        plain = self.staged(0, card, scores)
+        second = self.staged(1, make_card(crop_size=96, **second_card), (0.95, 0.95))
+        self.estimator = HandEstimator(plain[0], card, dataclasses.replace(plain[1], second=second[1]))
+
+    def staged(self, pair, card, scores):
+        oracle = Oracle(SAMPLE, card)
+        plain = oracle.estimator.stages
+
+        def crop(*arguments):
+            return dataclasses.replace(plain.crop(*arguments), pair=pair)
+
+        def locate(crops):
+            self.seen[pair].extend(crops)
+            return oracle.true_maps(crops), np.full(len(crops), 4.0)
+
+        def read_out(maps, crops):
+            joints_px, _ = plain.read_out(maps, crops)
+            off_px = np.array([3.0 * (1 - pair), 0.0])
+            return joints_px + off_px, np.array([np.full(21, scores[crop.side]) for crop in crops])
+
+        def lift(hands):
+            assert set(hands.pairs.tolist()) == {pair}
+            rolls = [rotation_about_z(np.radians(crop.roll_deg)) for crop in hands.crops]
+            joints_m = [SAMPLE.joints_m[crop.side] @ roll.T for crop, roll in zip(hands.crops, rolls, strict=True)]
+            return canonical_from_camera(np.array(joints_m)).joints
+
+        stages = dataclasses.replace(plain, crop=crop, locate=locate, read_out=read_out, lift=lift)
+        return oracle.estimator.networks, stages
+
+    def estimate(self, previous=None, index=0):
+        return self.estimator.estimate(SAMPLE.image, SAMPLE.camera, LENGTH_M, index=index, previous=previous)
+
+
+def test_the_second_pair_looks_where_the_first_doubts_and_counts_by_the_weights():
+    two = Two()
+    pose = two.estimate()
+    assert {crop.side for crop in two.seen[0]} == {LEFT, RIGHT} and {crop.side for crop in two.seen[1]} == {LEFT}
+    assert {crop.image.shape for crop in two.seen[1]} == {(96, 96, 3)}, "crops of its own size"
+    for side, off_px in ((LEFT, 0.0), (RIGHT, 3.0)):
+        hand = pose.hands[side]
+        np.testing.assert_allclose(hand.joints_px, SAMPLE.joints_px[side] + [off_px, 0], atol=0.3)
+        np.testing.assert_allclose(hand.canonical, canonical_from_camera(SAMPLE.joints_m[side]).joints, atol=0.05)
+    assert pose.left.joint_scores.mean() == pytest.approx(0.95)
+    ignored = Two(decision={"second": {"second": -1.0}})
+    np.testing.assert_allclose(ignored.estimate().left.joints_px, SAMPLE.joints_px[LEFT] + [3.0, 0], atol=0.3)
+    assert ignored.seen[1]
+    sure = Two(scores=(0.9, 0.9))
+    sure.estimate()
+    assert not sure.seen[1], "no doubt, no second look"
+
+
+def test_the_second_pair_has_its_own_crops_with_the_fingers_up():
+    """The left hand leans by 49 degrees."""
+    two = Two(upright_within_deg=25.0)
+    pose = two.estimate()
+    assert [bool(crop.roll_deg) for crop in two.seen[1]] == [False, True] and not any(c.roll_deg for c in two.seen[0])
+    in_crop = apply_homography(np.linalg.inv(two.seen[1][1].image_from_crop), SAMPLE.joints_px[LEFT])
+    along = in_crop[ROOT] - in_crop[WRIST]
+    assert abs(np.degrees(np.arctan2(along[0], -along[1]))) < 15
+    np.testing.assert_allclose(pose.left.joints_px, SAMPLE.joints_px[LEFT], atol=0.3)
+    np.testing.assert_allclose(pose.left.canonical, canonical_from_camera(SAMPLE.joints_m[LEFT]).joints, atol=0.05)
+
+
+def test_followed_hands_are_seen_by_both_pairs_too():
+    two = Two(upright_within_deg=25.0)
+    first = two.estimate()
+    for crops in two.seen:
+        crops.clear()
+    again = two.estimate(Trail((first,), first, may_rest=True), 1)
+    assert again.followed
+    (crop,) = two.seen[1]
+    assert crop.side == LEFT and crop.roll_deg, "with the fingers up at once: where they are is known"
+    np.testing.assert_allclose(again.left.joints_px, SAMPLE.joints_px[LEFT], atol=0.3)
+
+
+def test_crops_of_both_pairs_come_back_in_their_order():
+    two = Two()
+    stages = two.estimator.stages
+    masks, boxes = two.estimator.segment(SAMPLE.image)
+    crops = [
+        stages.of_pair(pair).crop(SAMPLE.image, masks, boxes.boxes_px[side], side, SAMPLE.camera)
+        for pair, side in ((1, RIGHT), (0, LEFT), (1, LEFT), (0, RIGHT))
+    ]
+    seen = stages.keypoints(crops)
+    assert [(crop.pair, crop.side) for crop in seen.crops] == [(1, RIGHT), (0, LEFT), (1, LEFT), (0, RIGHT)]
+    np.testing.assert_allclose(seen.joint_scores.mean(axis=1), [0.95, 0.5, 0.95, 0.9])
+    assert [len(maps) for maps in seen.heatmaps] == [21] * 4
+
+
+# The fit ------------------------------------------------------------------------------------------------------------
+
+
+def hands(count: int, rng) -> list[Both]:
+    """Of which the second pair is better where its joints are surer; the others' features say nothing."""
+    features = rng.normal(size=(count, len(SECOND_FEATURES)))
+    features[:, 0] = 1
+    better = features[:, 1] - features[:, 2] > 0.5
+    return [
+        Both("drawn", scene, features[scene], 0.2 if better[scene] else 0.1, 0.1 if better[scene] else 0.2)
+        for scene in range(count)
+    ]
+
+
+def test_the_fit_finds_where_the_second_pair_is_better_and_says_so_of_hands_held_out():
+    drawn = hands(400, np.random.default_rng(0))
+    weights = fit_second_look.fit(drawn)
+    assert weights[1] > 0 > weights[2] and np.abs(weights[3:]).max() < 0.2 * weights[1]
+    says, true = fit_second_look.held_out(drawn), np.array([hand.second < hand.first for hand in drawn])
+    assert (says == true).mean() > 0.93
+
+
+def test_a_hand_counts_as_much_as_the_errors_differ():
+    """Of two like hands the one with the larger difference wins."""
+    features = np.eye(len(SECOND_FEATURES))[0]
+    small, large = Both("", 0, features, 0.11, 0.10), Both("", 1, features, 0.1, 0.4)
+    assert fit_second_look.fit([small, small, large])[0] < 0 < fit_second_look.fit([small])[0]
+
+
+def test_an_error_is_that_of_the_known_joints_and_not_endless():
+    sample = dataclasses.replace(SAMPLE, valid=SAMPLE.valid & (np.arange(21) < 3))
+    size_px = np.ptp(SAMPLE.joints_px[LEFT][:3], axis=0).max()
+    seen = keypoints([0.9], [0.0])
+    joints_px = SAMPLE.joints_px[LEFT].copy()
+    joints_px[1] += [0.2 * size_px, 0]
+    joints_px[2] += [9 * size_px, 0]
+    seen = dataclasses.replace(seen, joints_px=joints_px[None])
+    assert fit_second_look.mean_error(seen, 0, sample, LEFT) == pytest.approx((0 + 0.2 + 0.5) / 3)
