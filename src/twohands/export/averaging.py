@@ -17,7 +17,7 @@ from torch import nn
 from twohands.errors import InputError
 from twohands.export.onnx import export_network
 from twohands.files import write_whole
-from twohands.inference.weights import network_files, read_card, write_card
+from twohands.inference.weights import network_files, read_card, second_folder, write_card
 from twohands.models.checkpoint import load_network, read_note
 from twohands.models.pose_net_2d import PoseNet2D
 
@@ -94,6 +94,8 @@ def average_preset(
     for name, other in read.networks.items():
         if not network_files(folder, read)[name].is_file():
             raise InputError(f"{folder} takes {name} of '{other}', which must stand beside it: copy that folder there")
+    if read.second and not second_folder(folder, read).is_dir():
+        raise InputError(f"{folder} takes its second pose networks of '{read.second}': copy that folder beside it")
     for name in checkpoints:
         if name not in own:
             raise InputError(f"{preset} has no {name} of its own, it takes that of '{read.networks[name]}'")

@@ -30,7 +30,7 @@ NO_PEAKS: Final[Mapping[str, float]] = MappingProxyType({})
 
 @dataclass(frozen=True, slots=True)
 class SecondNetworks:
-    """Pose networks that learnt otherwise than a preset's first ones, and what they expect.
+    """Pose networks that look where a preset's own doubt, and what they expect.
 
     Attributes:
         card: of their own preset.
@@ -53,7 +53,7 @@ class Networks:
             side it was cut for, 0 from a network without a hand classifier.
         pose_net_3d: (B, 21 + cues, M, M) -> canonical joints (B, 21, 3) of a left-like hand.
         runtime: what runs them and in which arithmetic, for the reader.
-        second: pose networks that see hands as well; None without any.
+        second: pose networks that look where these doubt; None without any.
     """
 
     hand_seg_net: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -158,7 +158,7 @@ class OpenVinoNetwork:
 
 
 def load_networks(folder: Path, card: WeightsCard, threads: int = 0) -> Networks:
-    """Compile the networks of a preset's folder, and the pose networks of its second.
+    """Compile the networks of a preset's folder, its second pose networks included.
 
     Args:
         folder: of the preset.

@@ -64,8 +64,8 @@ class Keypoints:
     def rows(self, chosen: Sequence[int] | np.ndarray) -> Keypoints:
         """Some of the crops."""
         rows = np.asarray(chosen, int)
-        lists = ([values[i] for i in rows] for values in (self.crops, self.heatmaps))
-        return Keypoints(*lists, *(values[rows] for values in self._arrays()))
+        crops, heatmaps = [self.crops[i] for i in rows], [self.heatmaps[i] for i in rows]
+        return Keypoints(crops, heatmaps, *(values[rows] for values in self._arrays()))
 
     def replaced(self, rows: np.ndarray, other: Keypoints) -> Keypoints:
         """The same, with other crops in some rows."""

@@ -31,8 +31,8 @@ A preset may take networks of another one; its card names the folder beside its 
                 "tta_rolls_deg": [15, -15]}
     }
 
-A preset may show hands to the pose networks of another one as well (`inference.views`); its card names that one's
-folder, beside its own, as "second".
+A preset may have second pose networks, which look where its own doubt (`inference.second_look`); its card names their
+folder, beside its own and like it a preset's, as "second".
 
 "views", "decision" and "placement" override any field of `inference.decision`'s records. Cards of version 1 had four of
 these elsewhere, under other names, and are read as well. Without weights in "decision" (scripts/fit_handedness.py),
@@ -83,7 +83,7 @@ class WeightsCard:
         cues: number of maps that PoseNet2D gives beside those of the joints, for PoseNet3D.
         networks: networks that the preset takes of another one -> name of that one's folder, beside its own.
         int8: networks that run in 8 bits -> name of every ReLU -> largest value after it (`inference.int8`).
-        second: name of the folder, beside its own, of a preset whose pose networks see hands as well; "" without.
+        second: name of the folder, beside its own, of the pose networks that look where its own doubt; "" without.
         views, decision, placement: every hand-tuned number of the pipeline.
         network_input: how the values of pictures are normalised for both networks that see them.
     """
@@ -223,11 +223,13 @@ def _peaks(int8: Any) -> dict[str, dict[str, float]]:
 
 
 def preset_names() -> list[str]:
-    """Names of the presets that ship with the package, sorted."""
+    """Names of the presets that ship with the package, sorted; what another one names as its second is none."""
     root = resources.files("twohands") / "weights"
     if not root.is_dir():
         return []
-    return sorted(entry.name for entry in root.iterdir() if (entry / "card.json").is_file())
+    cards = {entry.name: entry / "card.json" for entry in root.iterdir() if (entry / "card.json").is_file()}
+    seconds = {parse_json(card.read_bytes()).get("second") for card in cards.values()}
+    return sorted(cards.keys() - seconds)
 
 
 def preset_folder(preset: str | Path) -> Path:
@@ -294,7 +296,7 @@ def network_files(folder: Path, card: WeightsCard) -> dict[str, Path]:
 
 
 def second_folder(folder: Path, card: WeightsCard) -> Path:
-    """The folder of the preset that a preset's card names as its second."""
+    """Where the second pose networks of a preset's folder are, of a card that names some; it need not exist."""
     return folder.resolve().parent / card.second
 
 
