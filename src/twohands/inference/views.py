@@ -48,7 +48,8 @@ class HandViewer:
         each the view with the surest joints counts.
 
         The networks know hands best with the fingers up, as the hands of who wears the camera, or is before it, mostly
-        are: seen upside down, one whose fingers point down is one of these.
+        are: seen upside down, one whose fingers point down is one of these. Pose networks whose own card has no turns
+        see no hand so.
 
         Args:
             keypoints: of B hands.
@@ -57,7 +58,9 @@ class HandViewer:
         Returns:
             Keypoints and canonical poses of the views that count.
         """
-        views, seen, best, poses = self.card.views, self._in_sight(keypoints), keypoints, canonical.copy()
+        views, best, poses = self.card.views, keypoints, canonical.copy()
+        turns = [len(self.stages.of_pair(crop.pair).card.views.turns_deg) > 0 for crop in keypoints.crops]
+        seen = self._in_sight(keypoints) & turns
         least = _sureness(keypoints) + views.turn_lead
         for degrees in views.turns_deg:
             rows = np.flatnonzero(seen & (_sureness(best) < views.turn_below_score))
