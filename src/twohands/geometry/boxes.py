@@ -192,6 +192,13 @@ def upright_roll_deg(joints_px: NDArray[np.float64]) -> NDArray[np.float64]:
     return (degrees + 180) % 360 - 180
 
 
+def ellipse_in(box_px: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points (16, 2) on the ellipse that touches the sides of a box (4,)."""
+    angles = np.arange(16) * (np.pi / 8)
+    half = (box_px[2:] - box_px[:2]) / 2
+    return box_px[:2] + half * (1 + np.stack([np.cos(angles), np.sin(angles)], axis=-1))
+
+
 def rolled_box(
     points_px: NDArray[np.float64],
     image_size: tuple[int, int],

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from twohands.geometry.boxes import box_iou, upright_roll_deg
+from twohands.geometry.boxes import box_iou, ellipse_in, upright_roll_deg
 from twohands.geometry.segmentation import UNCERTAIN, HandBoxes, as_one_hand, box_evidence, probability
 from twohands.inference.handedness import (
     Assignment,
@@ -157,7 +157,8 @@ class HandFinder:
         return crops
 
     def _uprighted(self, masks: np.ndarray, boxes_px: np.ndarray, keypoints: Keypoints) -> Keypoints:
-        """Hands whose fingers point farther from up than `ViewConfig.upright_within_deg`, seen again."""
+        """Hands whose fingers point farther from up than `ViewConfig.upright_within_deg`, seen again in the same boxes:
+        where the fingers point is known sooner than where they end."""
         cards = [self.stages.of_pair(crop.pair).card for crop in keypoints.crops]
         within_deg = np.array([card.views.upright_within_deg for card in cards])
         rolled_deg = np.array([crop.roll_deg for crop in keypoints.crops])
@@ -166,8 +167,12 @@ class HandFinder:
         again = np.flatnonzero(seen & (np.abs(off_deg) > within_deg))
         if not len(again):
             return keypoints
-        one = keypoints.rows(again)
-        crops = self.joint_crops(masks, boxes_px, one.joints_px, one.sides, one.pairs)
+        crops = []
+        for row in again:
+            side, stages = keypoints.crops[row].side, self.stages.of_pair(keypoints.crops[row].pair)
+            roll_deg = float(upright_roll_deg(keypoints.joints_px[row]))
+            box_px = rolled_hand_box(stages.card, ellipse_in(boxes_px[side]), self.size, self.camera, roll_deg)
+            crops.append(stages.crop(self.image, masks, box_px, side, self.camera, roll_deg))
         return keypoints.replaced(again, self.stages.keypoints(crops))
 
     def decided(self, found: Detection, trail: Trail | None) -> Detection:

@@ -12,6 +12,7 @@ from twohands.errors import InputError
 from twohands.geometry.boxes import (
     apply_homography,
     box_iou,
+    ellipse_in,
     image_from_rolled,
     inside_picture,
     perspective_crop,
@@ -280,7 +281,7 @@ def false_hand(
     anyhow = rng is not None and rng.random() < crop.upright  # fingers may have been thought to be anywhere
     rolled_camera = random_roll(180.0 if anyhow else crop.roll, rng)
     unrolled = image_from_rolled(camera, rolled_camera)
-    rolled = rolled_box(_ellipse(box_px), image.shape[:2], unrolled)
+    rolled = rolled_box(ellipse_in(box_px), image.shape[:2], unrolled)
     image_from_crop = unrolled @ crop_matrix(rolled, camera, side, size, crop)
     shown = warp_image(image, image_from_crop, size, interpolation="linear")
     masks = warp_image(classes, image_from_crop, size, interpolation="nearest")
@@ -320,13 +321,6 @@ def _composed(
     if rng is not None and photometric is not None:
         image = jitter_colours(image, photometric, rng)
     return compose_hand_input(image, classes, np.eye(3), side, len(image), crop.background)
-
-
-def _ellipse(box_px: np.ndarray) -> np.ndarray:
-    """Points (16, 2) on the ellipse that touches the sides of a box."""
-    angles = np.arange(16) * (np.pi / 8)
-    half = (box_px[2:] - box_px[:2]) / 2
-    return box_px[:2] + half * (1 + np.stack([np.cos(angles), np.sin(angles)], axis=-1))
 
 
 def _like(rolled_box: np.ndarray, box: np.ndarray, predicted: np.ndarray, unrolled: np.ndarray) -> np.ndarray:
