@@ -235,10 +235,15 @@ def _rolled_camera(
     joints_px: np.ndarray, known: np.ndarray, crop: CropConfig, rng: np.random.Generator | None
 ) -> np.ndarray:
     """(3, 3) rotation about z to the camera that sees a hand of joints (21, 2), of which some are known, (21,) bool."""
-    if rng is None or rng.random() >= crop.upright or not known[[WRIST, ROOT]].all():
+    if rng is None or not _is_upright(crop, rng) or not known[[WRIST, ROOT]].all():
         return random_roll(crop.roll, rng)
     roll_deg = float(upright_roll_deg(joints_px)) + rng.normal(0, UPRIGHT_ERROR_DEG)
     return rotation_about_z(math.radians(roll_deg))
+
+
+def _is_upright(crop: CropConfig, rng: np.random.Generator | None) -> bool:
+    """Whether this crop is of the share that is `CropConfig.upright`."""
+    return rng is not None and crop.upright > 0 and rng.random() < crop.upright
 
 
 def shows_other_hand(sample: HandSample, side: int, predicted: Segmentation) -> bool:
@@ -278,7 +283,7 @@ def false_hand(
         photometric: training changes, used only with `rng`.
         rng: source of randomness.
     """
-    anyhow = rng is not None and rng.random() < crop.upright  # fingers may have been thought to be anywhere
+    anyhow = _is_upright(crop, rng)  # the fingers may have been thought to be anywhere
     rolled_camera = random_roll(180.0 if anyhow else crop.roll, rng)
     unrolled = image_from_rolled(camera, rolled_camera)
     rolled = rolled_box(ellipse_in(box_px), image.shape[:2], unrolled)
