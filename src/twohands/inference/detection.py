@@ -108,8 +108,10 @@ class HandFinder:
             joints_px: (B, 21, 2) where the joints are expected; None where nothing is known.
         """
         first = self._uprighted(masks, boxes_px, self.stages.keypoints(crops))
+        if self.stages.second is None:
+            return first
         rows = np.flatnonzero(doubted(first, self.card.views.second_below_score))
-        if self.stages.second is None or not len(rows):
+        if not len(rows):
             return first
         second = self._second(masks, boxes_px, first.sides[rows], None if joints_px is None else joints_px[rows])
         better = np.flatnonzero(knows_better(first.rows(rows), second, self.card.decision))
@@ -159,8 +161,10 @@ class HandFinder:
     def _uprighted(self, masks: np.ndarray, boxes_px: np.ndarray, keypoints: Keypoints) -> Keypoints:
         """Hands whose fingers point farther from up than `ViewConfig.upright_within_deg`, seen again in the same boxes:
         where the fingers point is known sooner than where they end."""
-        cards = [self.stages.of_pair(crop.pair).card for crop in keypoints.crops]
-        within_deg = np.array([card.views.upright_within_deg for card in cards])
+        views = [self.stages.of_pair(crop.pair).card.views for crop in keypoints.crops]
+        if not any(each.upright for each in views):
+            return keypoints
+        within_deg = np.array([each.upright_within_deg for each in views])
         rolled_deg = np.array([crop.roll_deg for crop in keypoints.crops])
         off_deg = (upright_roll_deg(keypoints.joints_px) - rolled_deg + 180) % 360 - 180
         seen = in_sight(keypoints.joints_px, self.size, self.card.views.smallest_box_px)
