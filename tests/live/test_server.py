@@ -25,10 +25,11 @@ from websockets.sync.client import connect
 
 from twohands.errors import InputError
 from twohands.inference.frames import Frame
+from twohands.live import server
 from twohands.live.measuring import FRAMES
 from twohands.live.messages import MAX_BYTES
 from twohands.live.server import MAX_CLIENTS, listen
-from twohands.live.worker import Picture, Worker
+from twohands.live.worker import Worker
 
 BEGIN = json.dumps({"begin": {"source": "test", "hand_length_m": 0.1, "fov_deg": 60}})
 WAIT_S = 300
@@ -46,6 +47,21 @@ def receive(socket):
 def get(port: int, path: str = "/", **headers: str):
     request = urllib.request.Request(f"http://127.0.0.1:{port}{path}", headers=headers)
     return urllib.request.urlopen(request, timeout=WAIT_S)
+
+
+def counting(monkeypatch, owner, name: str) -> threading.Semaphore:
+    """Released whenever a function of the server has done its work. The pong of a ping comes sooner: it says that what
+    was sent before has arrived, not that it has been read."""
+    calls, function = threading.Semaphore(0), getattr(owner, name)
+
+    def counted(*arguments):
+        try:
+            return function(*arguments)
+        finally:
+            calls.release()
+
+    monkeypatch.setattr(owner, name, counted)
+    return calls
 
 
 def documented(code: str, port: int) -> threading.Thread:
@@ -187,14 +203,7 @@ def test_a_measuring_before_a_clip_is_refused():
 
 def test_late_pictures_are_dropped_not_queued(monkeypatch):
     """While one is estimated three more come: the newest alone is estimated next."""
-    begun, go_on, arrived = threading.Event(), threading.Event(), threading.Semaphore(0)
-    put = Worker.put
-
-    def counted(self, picture: Picture) -> None:
-        put(self, picture)
-        arrived.release()
-
-    monkeypatch.setattr(Worker, "put", counted)
+    begun, go_on, arrived = threading.Event(), threading.Event(), counting(monkeypatch, Worker, "put")
 
     def slow(*arguments, **options):
         begun.set()
@@ -268,16 +277,18 @@ def test_the_ninth_client_is_refused_until_one_leaves():
                 break
 
 
-def test_one_camera_at_a_time_and_the_next_when_it_has_ended():
+def test_one_camera_at_a_time_and_the_next_when_it_has_ended(monkeypatch):
+    read = counting(monkeypatch, server, "parse_text")
     with serving() as port, join(port) as first, join(port) as second:
         first.send(BEGIN)
-        first.ping().wait(WAIT_S)
+        assert read.acquire(timeout=WAIT_S)
         second.send(BEGIN)
         with pytest.raises(ConnectionClosed) as closed:
             receive(second)
         assert closed.value.rcvd is not None and "another client is sending" in closed.value.rcvd.reason
+        assert read.acquire(timeout=WAIT_S)
         first.send('{"end": true}')
-        first.ping().wait(WAIT_S)
+        assert read.acquire(timeout=WAIT_S)
         with join(port) as third:
             third.send(BEGIN)
             third.send(picture(0.0))
@@ -326,9 +337,9 @@ def test_there_is_one_page_and_no_file():
         assert refused.value.code == 403
 
 
-def test_the_camera_of_this_machine():
+def test_the_camera_of_this_machine(monkeypatch):
     """Its pictures and lines come to everybody; settings begin a new clip; nobody else's pictures are taken."""
-    go_on = threading.Semaphore(0)
+    go_on, begun = threading.Semaphore(0), counting(monkeypatch, Worker, "begin")
 
     def frames():
         for index in range(100):
@@ -342,7 +353,7 @@ def test_the_camera_of_this_machine():
         assert json.loads(header)["source"] == "stream" and json.loads(line)["index"] == 0
         assert message[16:18] == b"\xff\xd8"
         viewer.send(BEGIN)
-        viewer.ping().wait(WAIT_S)
+        assert begun.acquire(timeout=WAIT_S)
         go_on.release()
         changed = json.loads(receive(viewer))
         assert (changed["version"], changed["source"]) == (2, "camera:0")
