@@ -11,6 +11,9 @@ Run from the repository root:
 
     python -m benchmarks.keypoints_alone runs/pose2d/pose_net_2d.safetensors \
         src/twohands/weights/fast/pose_net_2d.onnx --generated data/people --count 250
+
+With `--upright`, crops are rolled by the known joints so that the fingers point up, as for networks whose card says so
+(`views.upright_within_deg`).
 """
 
 from __future__ import annotations
@@ -96,7 +99,13 @@ def crops_of(sample: HandSample, hands: list, estimator: HandEstimator) -> Itera
         return
     masks, found = estimator.segment(sample.image, StageTruth(boxes_px=boxes, present=present))
     finder = HandFinder(estimator.stages, estimator.card, sample.image, sample.camera)
-    for crop in finder.crops(masks, found.boxes_px, np.flatnonzero(present), estimated=False):
+    sides = np.flatnonzero(present)
+    if estimator.card.views.upright:
+        joints_px = np.array([hands[side] for side in sides], float)
+        crops = finder.joint_crops(masks, found.boxes_px, joints_px, sides, np.zeros(len(sides), int))
+    else:
+        crops = finder.crops(masks, found.boxes_px, sides, estimated=False)
+    for crop in crops:
         yield KnownCrop(crop, np.asarray(hands[crop.side], float))
 
 
@@ -143,6 +152,8 @@ def main() -> int:
     chosen += [(real_pictures.generated(folder, folder.name), args.count) for folder in args.generated]
     folder = preset_folder(args.weights)
     card = read_card(folder)
+    if args.upright:
+        card = replace(card, views=replace(card.views, upright_within_deg=0.0))
     segmenting = load_networks(folder, card, args.threads)
     crops: dict[int, dict[str, list[KnownCrop]]] = {}
     for path in args.networks:
@@ -167,6 +178,7 @@ def _parser() -> argparse.ArgumentParser:
     option("--shared", type=Path, default=SHARED, help="folder of the real pictures; none if it is missing")
     option("--generated", type=Path, nargs="*", default=[], help="generated test sets")
     option("--count", type=int, help="so many pictures of each of these; all if not given")
+    option("--upright", action="store_true", help="roll crops so that the fingers point up")
     option("--threads", type=int, default=0, help="CPU threads; 0 takes all cores")
     return parser
 

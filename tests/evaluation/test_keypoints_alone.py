@@ -7,7 +7,7 @@ from benchmarks.keypoints_alone import Answers, KnownCrop, answers, crops_of, li
 from tests.builders import make_samples
 from tests.oracles import make_card
 
-from twohands.geometry.boxes import apply_homography
+from twohands.geometry.boxes import apply_homography, upright_roll_deg
 from twohands.inference.engine import Networks
 from twohands.inference.estimator import HandEstimator
 from twohands.models.pose_net_2d import PoseNet2DConfig
@@ -53,17 +53,36 @@ def test_a_line_by_hand():
     assert line("x", Answers(errors, np.array([True, False]), None)) == "| x | 2 | 50 % | 74 % | 0.050 | 50 % | - |"
 
 
-@pytest.mark.parametrize("known", [(True, True), (False, True), (False, False)])
-def test_every_known_hand_has_a_crop_that_holds_it(known):
-    (sample,) = make_samples(1)
-    nothing = Networks(
+@pytest.fixture
+def nothing() -> Networks:
+    """HandSegNet sees nothing; the pose networks are not asked."""
+    return Networks(
         lambda batch: (np.zeros((1, 3, 48, 80)), np.full((1, 2, 48, 80), -9.0)),
         lambda batch: pytest.fail("not asked"),
         lambda batch: pytest.fail("not asked"),
     )
+
+
+def in_crop(known: KnownCrop) -> np.ndarray:
+    """(21, 2) pixels of the crop."""
+    return np.asarray(apply_homography(np.linalg.inv(known.crop.image_from_crop), known.joints_px))
+
+
+@pytest.mark.parametrize("known", [(True, True), (False, True), (False, False)])
+def test_every_known_hand_has_a_crop_that_holds_it(known, nothing):
+    (sample,) = make_samples(1)
     hands = [sample.joints_px[side] if known[side] else None for side in (0, 1)]
     crops = list(crops_of(sample, hands, HandEstimator(nothing, make_card())))
     assert [one.crop.side for one in crops] == [side for side in (0, 1) if known[side]]
     for one in crops:
-        crop_px = np.asarray(apply_homography(np.linalg.inv(one.crop.image_from_crop), one.joints_px))
+        crop_px = in_crop(one)
+        assert (crop_px > 0).all() and (crop_px < one.crop.image.shape[0]).all()
+
+
+def test_upright_crops_show_every_hand_with_its_fingers_up(nothing):
+    (sample,) = make_samples(1)
+    estimator = HandEstimator(nothing, make_card(upright_within_deg=0.0))
+    for one in crops_of(sample, list(sample.joints_px), estimator):
+        crop_px = in_crop(one)
+        assert abs(upright_roll_deg(crop_px)) < 15  # not 0: the crop's camera looks at the hand
         assert (crop_px > 0).all() and (crop_px < one.crop.image.shape[0]).all()
