@@ -1,6 +1,7 @@
 """Means of networks, hand-computed, and the presets made of them."""
 
 import json
+import shutil
 
 import pytest
 import torch
@@ -113,9 +114,14 @@ def test_what_cannot_be_averaged_is_said_before_anything_is_written(preset):
         average_preset(preset / "first", new, preset / "first", share=0.5)
     with pytest.raises(InputError, match="the judge is part of pose_net_2d"):
         average_preset(preset / "first", new, preset / "none", share=0.5, judge=1.0)
+    card = json.loads((preset / "first/card.json").read_text())
+    doubter = preset / "doubter"
+    shutil.copytree(preset / "first", doubter)
+    (doubter / "card.json").write_text(json.dumps(card | {"second": "first"}))
+    with pytest.raises(InputError, match="its second pose networks of 'first': copy that folder"):
+        average_preset(doubter, new, preset / "elsewhere/none", share=0.5)
     borrower = preset / "borrower"
     borrower.mkdir()
-    card = json.loads((preset / "first/card.json").read_text())
     (borrower / "card.json").write_text(json.dumps(card | {"networks": dict.fromkeys(NAMES, "first")}))
     with pytest.raises(InputError, match="no pose_net_3d of its own, it takes that of 'first'"):
         average_preset(borrower, new, preset / "none", share=0.5)
