@@ -8,6 +8,7 @@ import sys
 import tempfile
 import time
 from importlib import resources
+from importlib.metadata import files
 from pathlib import Path
 
 MAX_IMPORT_S = 0.5
@@ -43,6 +44,8 @@ def main() -> None:
     assert not present, f"the core install brought {present}"
 
     assert (resources.files("twohands.visualization") / "view" / "view.js").is_file(), "the view is not in the wheel"
+    licences = {path.name for path in files("twohands") or () if "licenses" in path.parts}
+    assert licences == {"LICENSE", "NOTICE"}, f"the wheel has the licence files {sorted(licences)}"
 
     bare = min(measure("-c", "pass")[0] for _ in range(REPEATS))
     import_s = min(measure("-c", "import twohands")[0] for _ in range(REPEATS)) - bare

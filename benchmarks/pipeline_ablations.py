@@ -36,7 +36,7 @@ from twohands.evaluation.report import format_number
 from twohands.evaluation.summary import markdown_table
 from twohands.geometry.projection import Method, project_global, range_weights
 from twohands.inference.decision import PictureView
-from twohands.inference.engine import Networks, load_networks
+from twohands.inference.engine import Networks, SecondNetworks, load_networks
 from twohands.inference.estimator import HandEstimator
 from twohands.inference.keypoints import read_out
 from twohands.inference.stages import Stages
@@ -142,16 +142,20 @@ class Memory:
 
     def networks(self, networks: Networks) -> Networks:
         """The same networks, run once for every input."""
+        second = networks.second
         return dataclasses.replace(
             networks,
             hand_seg_net=self._once(networks.hand_seg_net),
-            pose_net_2d=self._once(networks.pose_net_2d),
-            pose_net_3d=self._once(networks.pose_net_3d),
+            second=None if second is None else dataclasses.replace(second, **self._pose_networks(second)),
+            **self._pose_networks(networks),
         )
 
     def clear(self) -> None:
         """Forget everything; for the next picture."""
         self._answers.clear()
+
+    def _pose_networks(self, pair: Networks | SecondNetworks) -> dict[str, Any]:
+        return {name: self._once(getattr(pair, name)) for name in ("pose_net_2d", "pose_net_3d")}
 
     def _once(self, network: Callable[[np.ndarray], Any]) -> Callable[[np.ndarray], Any]:
         def call(batch: np.ndarray) -> Any:
@@ -171,15 +175,20 @@ def reading(networks: Networks, card: WeightsCard, decoder: str) -> HandEstimato
         networks, card: as `HandEstimator`.
         decoder: "subpixel" or "softargmax", as in a card, or "argmax": the centre of the highest cell.
     """
-    plain, peaks_only = Stages.of(networks, card), decoder == "argmax"
-    other = dataclasses.replace(card, heatmap_decode="softargmax" if peaks_only else decoder)
+    peaks_only = decoder == "argmax"
 
-    def read(heatmaps: np.ndarray, crops: list[HandCrop]) -> tuple[np.ndarray, np.ndarray]:
-        _, scores = plain.read_out(heatmaps, crops)
-        joints_px, _ = read_out(other, highest_cells(heatmaps) if peaks_only else heatmaps, crops)
-        return joints_px, scores
+    def changed(plain: Stages) -> Stages:
+        other = dataclasses.replace(plain.card, heatmap_decode="softargmax" if peaks_only else decoder)
 
-    return HandEstimator(networks, card, dataclasses.replace(plain, read_out=read))
+        def read(heatmaps: np.ndarray, crops: list[HandCrop]) -> tuple[np.ndarray, np.ndarray]:
+            _, scores = plain.read_out(heatmaps, crops)
+            joints_px, _ = read_out(other, highest_cells(heatmaps) if peaks_only else heatmaps, crops)
+            return joints_px, scores
+
+        second = None if plain.second is None else changed(plain.second)
+        return dataclasses.replace(plain, read_out=read, second=second)
+
+    return HandEstimator(networks, card, changed(Stages.of(networks, card)))
 
 
 def highest_cells(maps: np.ndarray) -> np.ndarray:

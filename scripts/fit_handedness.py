@@ -21,6 +21,7 @@ they rest on into the card's "decision". Nothing is chosen by hand.
 from __future__ import annotations
 
 import argparse
+import hashlib
 import io
 import itertools
 import json
@@ -56,7 +57,7 @@ from twohands.inference.handedness import (
     last_features,
     rescore,
 )
-from twohands.inference.weights import preset_folder, read_card, weights_id, write_card
+from twohands.inference.weights import preset_folder, read_card, second_folder, weights_id, write_card
 from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
 from twohands.types import HandSample, PinholeCamera
 
@@ -129,8 +130,9 @@ def main() -> int:
         if not card.hand_logit:
             raise InputError(f"{card.name}: its PoseNet2D has no hand classifier, there is nothing to decide by")
         judges = [preset_folder(judge) for judge in options.judges]
-        identity = "+".join(weights_id(folder, read_card(folder)) for folder in (options.preset, *judges))
-        pictures = gathered(options, identity)
+        folders = (options.preset, *judges)
+        identity = "+".join(weights_id(folder, read_card(folder)) for folder in folders)
+        pictures = gathered(options, "+".join([identity, *map(views_id, folders)]))
         config = card.decision
         summary = cross_validated(pictures, config)
         fitted = fit(pictures, config)
@@ -143,6 +145,13 @@ def main() -> int:
         return 2
     print_weights(fitted)
     return 0
+
+
+def views_id(folder: Path) -> str:
+    """Fingerprint of what decides, beside the weights, what a preset's networks are shown and which pair counts."""
+    card = read_card(folder)
+    second = read_card(second_folder(folder, card)).views if card.second else None
+    return hashlib.sha256(repr((card.views, dict(card.decision.second), second)).encode()).hexdigest()[:8]
 
 
 def gathered(options: argparse.Namespace, identity: str) -> list[Seen]:

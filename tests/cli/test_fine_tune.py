@@ -83,6 +83,7 @@ def test_from_a_camera_file_to_tracked_pictures(camera, tmp_path, capsys, monkey
     assert card["name"] == "mine" and card["fine_tuned_from"] == "fast"
     own, shipped = WeightsCard.from_dict(card), read_card(preset_folder("fast"))
     assert (own.views, own.placement, own.decision) == (shipped.views, shipped.placement, shipped.decision)
+    assert own.second == shipped.second
     assert set(card["int8"]) == {"hand_seg_net", "pose_net_2d"}
     assert [card["training"][name]["iterations"] for name in ("pose_net_2d", "pose_net_3d")] == [3, 3]
     assert str(tmp_path) not in (out / "card.json").read_text()

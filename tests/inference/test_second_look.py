@@ -113,6 +113,9 @@ def test_the_second_pair_looks_where_the_first_doubts_and_counts_by_the_weights(
     ignored = Two(decision={"second": {"second": -1.0}})
     np.testing.assert_allclose(ignored.estimate().left.joints_px, SAMPLE.joints_px[LEFT] + [3.0, 0], atol=0.3)
     assert ignored.seen[1]
+    unasked = Two(decision={"second": {}})
+    np.testing.assert_allclose(unasked.estimate().left.joints_px, ignored.estimate().left.joints_px, atol=0.3)
+    assert not unasked.seen[1], "without weights it would never count"
     sure = Two(scores=(0.9, 0.9))
     sure.estimate()
     assert not sure.seen[1], "no doubt, no second look"

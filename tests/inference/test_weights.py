@@ -21,6 +21,7 @@ from twohands.inference.weights import (
     preset_folder,
     preset_names,
     read_card,
+    second_folder,
     weights_id,
 )
 from twohands.types import PinholeCamera
@@ -50,7 +51,12 @@ def test_the_shipped_presets_are_complete():
     for name in names:
         card = read_card(preset_folder(name))
         assert card.name == name
-        load_networks(preset_folder(name), card)
+        networks = load_networks(preset_folder(name), card)
+        assert bool(card.second) == bool(card.decision.second), "its second networks are never asked, or not there"
+        if networks.second is not None:
+            second = second_folder(preset_folder(name), card)
+            assert networks.second.card.name == second.name == card.second and card.second not in names
+            assert [path.name for path in sorted(second.glob("*.onnx"))] == ["pose_net_2d.onnx", "pose_net_3d.onnx"]
 
 
 def test_a_folder_is_taken_before_a_shipped_preset_of_its_name(tiny, tmp_path, monkeypatch):
@@ -209,12 +215,21 @@ def test_the_pose_networks_of_a_second_preset_see_every_hand_as_well(copied, tmp
         pose_net_3d=lambda maps: lifted.append(maps.shape[2:]) or second.pose_net_3d(maps),
     )
     estimator = HandEstimator(dataclasses.replace(networks, second=noted), found)
+    assert estimator.settings() == found.settings() | {"second": second.card.settings()}
     pose = estimator.estimate(np.zeros((48, 80, 3), np.uint8), PinholeCamera.from_fov(90.0, 80, 48))
     assert pose.left.present and pose.right.present
     assert (seen, lifted) == ([(64, 64)] * 2, [(16, 16)] * 2)
     shutil.rmtree(other)
     with pytest.raises(CheckpointError, match="other"):
         read_card(copied)
+
+
+def test_a_second_that_does_not_stand_beside_is_the_shipped_one_of_that_name(copied, tmp_path):
+    """Named case: weights fine-tuned from shipped ones lost their second pose networks."""
+    card = dataclasses.replace(read_card(copied), second=DEFAULT_PRESET)
+    assert second_folder(copied, card) == preset_folder(DEFAULT_PRESET)
+    (tmp_path / DEFAULT_PRESET).mkdir()
+    assert second_folder(copied, card) == tmp_path / DEFAULT_PRESET
 
 
 def test_missing_and_damaged_cards_are_refused(copied):

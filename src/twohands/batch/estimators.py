@@ -33,9 +33,7 @@ class OpenEstimator(NamedTuple):
     @classmethod
     def ours(cls, estimator: HandEstimator) -> OpenEstimator:
         """Our networks."""
-        return cls(
-            estimator.estimate, estimator.card.name, {"config": estimator.card.settings()}, estimator.card.decision
-        )
+        return cls(estimator.estimate, estimator.card.name, {"config": estimator.settings()}, estimator.card.decision)
 
     @classmethod
     def mediapipe(cls, stack: ExitStack, python: str | Path | None, model: str | Path | None) -> OpenEstimator:

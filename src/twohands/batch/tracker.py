@@ -179,8 +179,8 @@ class ClipTracker:
         if self.estimator == "mediapipe":
             name = mediapipe_name(self.peer_python, self.mediapipe_model)
             return found | {"weights": name, "mediapipe_model": self.mediapipe_model}
-        card = load_estimator(self.weights).card
-        return found | {"weights": card.name, "config": card.settings()}
+        estimator = load_estimator(self.weights)
+        return found | {"weights": estimator.card.name, "config": estimator.settings()}
 
     def _write(self, path: Path, name: str, folder: Path) -> tuple[str | None, int]:
         """Tracks a file; what is to be said of it, and how many frames of it were used.

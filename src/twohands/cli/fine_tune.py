@@ -90,6 +90,8 @@ def fine_tune(
     further = {"fine_tuned_from": DEFAULT_PRESET} | {
         name: settings[name] for name in ("views", "placement", "decision")
     }
+    if shipped.second:
+        further["second"] = shipped.second
     export_preset(checkpoints, out, name=out.resolve().name, further=further)
     add_int8(out, (source[i] for i in range(min(CALIBRATION_PICTURES, len(source)))))
     folder = f"./{out}" if str(out) in preset_names() else out  # the name alone is that of shipped weights

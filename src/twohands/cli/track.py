@@ -318,7 +318,7 @@ def track_pictures(
             poses,
             source=source,
             weights=estimator.card.name,
-            config=estimator.card.settings(),
+            config=estimator.settings(),
             hand_length_m=hand_length_m,
             files=[path.name for path in files],
         )

@@ -135,15 +135,17 @@ def open_segmentation(checkpoint: Path) -> Segment:
     Raises:
         CheckpointError: missing, damaged, or of another network.
     """
+    from twohands.inference.engine import load_networks
     from twohands.inference.estimator import HandEstimator
+    from twohands.inference.weights import read_card
     from twohands.training.segmenter import Segmenter, segmentation_of
 
     if checkpoint.name != "hand_seg_net.onnx" or not (checkpoint.parent / "card.json").is_file():
         return Segmenter(checkpoint)
-    shipped = HandEstimator.from_preset(checkpoint.parent, threads=1)
-    one_view = dataclasses.replace(shipped.card.views, tta_views=())
+    card = read_card(checkpoint.parent)
     # A single view of every picture, like `Segmenter`: the time is the training's.
-    estimator = HandEstimator(shipped.networks, dataclasses.replace(shipped.card, views=one_view))
+    card = dataclasses.replace(card, views=dataclasses.replace(card.views, tta_views=()), second="")
+    estimator = HandEstimator(load_networks(checkpoint.parent, card, threads=1), card)
 
     def segment(images: Sequence[np.ndarray]) -> list[Segmentation]:
         return [segmentation_of(*estimator.stages.hand_maps(image), image.shape[:2]) for image in images]

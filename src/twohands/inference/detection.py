@@ -108,7 +108,7 @@ class HandFinder:
             joints_px: (B, 21, 2) where the joints are expected; None where nothing is known.
         """
         first = self._uprighted(masks, boxes_px, self.stages.keypoints(crops))
-        if self.stages.second is None:
+        if self.stages.second is None or not self.card.decision.second:
             return first
         rows = np.flatnonzero(doubted(first, self.card.views.second_below_score))
         if not len(rows):

@@ -7,7 +7,7 @@ else; that is how each stage is studied alone and how the error budget is drawn 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -31,7 +31,7 @@ class HandEstimator:
     """Both hands in metres from one picture; never changes once it is made, so threads may share it.
 
     Args:
-        networks: the three networks as functions.
+        networks: the networks as functions.
         card: what they expect, and every hand-tuned number.
         stages: the stages; those of networks and card if not given.
     """
@@ -51,6 +51,12 @@ class HandEstimator:
         folder = preset_folder(preset)
         card = read_card(folder)
         return cls(load_networks(folder, card, threads), card)
+
+    def settings(self) -> dict[str, Any]:
+        """Every hand-tuned number, as `WeightsCard.settings` gives them; "second" holds those of the second pose
+        networks, where there are any."""
+        second = self.networks.second
+        return self.card.settings() | ({} if second is None else {"second": second.card.settings()})
 
     def estimate(
         self,

@@ -32,7 +32,8 @@ A preset may take networks of another one; its card names the folder beside its 
     }
 
 A preset may have second pose networks, which look where its own doubt (`inference.second_look`); its card names their
-folder, beside its own and like it a preset's, as "second".
+folder, beside its own and like it a preset's, as "second". Where there is no such folder, that of the shipped weights
+with this name is meant: weights that were trained on from shipped ones keep their second networks.
 
 "views", "decision" and "placement" override any field of `inference.decision`'s records. Cards of version 1 had four of
 these elsewhere, under other names, and are read as well. Without weights in "decision" (scripts/fit_handedness.py),
@@ -83,7 +84,8 @@ class WeightsCard:
         cues: number of maps that PoseNet2D gives beside those of the joints, for PoseNet3D.
         networks: networks that the preset takes of another one -> name of that one's folder, beside its own.
         int8: networks that run in 8 bits -> name of every ReLU -> largest value after it (`inference.int8`).
-        second: name of the folder, beside its own, of the pose networks that look where its own doubt; "" without.
+        second: name of the folder, beside its own or among the shipped ones, of the pose networks that look where its
+            own doubt; "" without.
         views, decision, placement: every hand-tuned number of the pipeline.
         network_input: how the values of pictures are normalised for both networks that see them.
     """
@@ -297,7 +299,8 @@ def network_files(folder: Path, card: WeightsCard) -> dict[str, Path]:
 
 def second_folder(folder: Path, card: WeightsCard) -> Path:
     """Where the second pose networks of a preset's folder are, of a card that names some; it need not exist."""
-    return folder.resolve().parent / card.second
+    beside = folder.resolve().parent / card.second
+    return beside if beside.is_dir() else Path(str(resources.files("twohands") / "weights" / card.second))
 
 
 def weights_id(folder: Path, card: WeightsCard) -> str:

@@ -92,6 +92,7 @@ def predict_with(dataset: OpenedDataset, system: System, count: int | None) -> P
 def _settings(estimator: HandEstimator, system: System) -> dict[str, Any]:
     return {
         "card": asdict(estimator.card),
+        "second": None if estimator.networks.second is None else asdict(estimator.networks.second.card),
         "hand_length_m": "each hand's own, from its labels",
         "camera": "the dataset's",
         "truth": list(system.truth),
