@@ -1,7 +1,7 @@
 """Averages networks of a preset with trained ones: a new preset (extras `train` and `synth`).
 
-    python scripts/average_weights.py src/twohands/weights/accurate --pose-net-2d RUN/pose_net_2d.safetensors \\
-        --pose-net-3d RUN/pose_net_3d.safetensors --share 0.7 --judge 0.5 --out candidates/accurate
+    python scripts/average_weights.py src/twohands/weights/fast --pose-net-2d RUN/pose_net_2d.safetensors \\
+        --pose-net-3d RUN/pose_net_3d.safetensors --share 0.7 --judge 0.5 --out candidates/fast
 
 How large activations get in 8 bits is measured anew. A preset that takes a network from another one's folder needs that
 folder beside --out too. What the card says in words of data, schedule and accuracy stays; mend it by hand.

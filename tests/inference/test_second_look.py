@@ -12,7 +12,9 @@ from twohands.geometry.boxes import apply_homography
 from twohands.geometry.canonical import canonical_from_camera
 from twohands.geometry.rotation import rotation_about_z
 from twohands.inference.decision import SECOND_FEATURES, DecisionConfig
+from twohands.inference.detection import CandidateViews, Detection, HandFinder
 from twohands.inference.estimator import HandEstimator
+from twohands.inference.handedness import Assignment
 from twohands.inference.keypoints import Keypoints
 from twohands.inference.second_look import doubted, knows_better, second_features
 from twohands.inference.trail import Trail
@@ -98,6 +100,21 @@ class Two:
 
     def estimate(self, previous=None, index=0):
         return self.estimator.estimate(SAMPLE.image, SAMPLE.camera, LENGTH_M, index=index, previous=previous)
+
+
+@pytest.mark.parametrize(("side", "pair"), [(LEFT, 1), (RIGHT, 0)])
+def test_one_hand_found_as_both_is_seen_by_the_second_pair_too(side, pair):
+    """Named case: seen merged, it was the first pair's whatever that said; of the right hand it is sure."""
+    two = Two()
+    masks, boxes = two.estimator.segment(SAMPLE.image)
+    finder = HandFinder(two.estimator.stages, two.estimator.card, SAMPLE.image, SAMPLE.camera)
+    both = np.array([LEFT, RIGHT])
+    crops = finder.crops(masks, boxes.boxes_px, both)
+    found = Detection(masks, boxes, two.estimator.stages.keypoints(crops))
+    views = CandidateViews({}, two.estimator.stages.keypoints(crops))
+    assignment = Assignment(np.where(both == side, both, -1), np.where(both == side, 2.0, np.nan))
+    assigned, _ = finder.assigned(found, assignment, views)
+    assert assigned.keypoints.sides.tolist() == [side] and assigned.keypoints.pairs.tolist() == [pair]
 
 
 def test_the_second_pair_looks_where_the_first_doubts_and_counts_by_the_weights():

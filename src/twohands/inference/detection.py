@@ -108,6 +108,13 @@ class HandFinder:
             joints_px: (B, 21, 2) where the joints are expected; None where nothing is known.
         """
         first = self._uprighted(masks, boxes_px, self.stages.keypoints(crops))
+        return self._known_better(masks, boxes_px, first, joints_px)
+
+    def _known_better(
+        self, masks: np.ndarray, boxes_px: np.ndarray, first: Keypoints, joints_px: np.ndarray | None = None
+    ) -> Keypoints:
+        """Keypoints by the first pose networks; where the second ones know a hand better, by these. Arguments as of
+        `looked`."""
         if self.stages.second is None or not self.card.decision.second:
             return first
         rows = np.flatnonzero(doubted(first, self.card.views.second_below_score))
@@ -220,8 +227,10 @@ class HandFinder:
         which of them would be cropped differently now."""
         source = assignment.source
         chosen = dict(views.alone)
-        if views.merged is not None and (source >= 0).sum() == 1:
-            chosen |= {(side, side): views.merged.rows([side]) for side in (LEFT, RIGHT)}
+        side = int(source.argmax())
+        if views.merged is not None and (source >= 0).sum() == 1 and source[side] == side:
+            masks, box_px = as_one_hand(found.masks, found.boxes.boxes_px, side)
+            chosen[side, side] = self._known_better(masks, np.tile(box_px, (2, 1)), views.merged.rows([side]))
         remaining = [chosen[int(side), int(source[side])] for side in np.flatnonzero(source >= 0)]
         keypoints = Keypoints.joined(remaining) if remaining else found.keypoints.rows([])
         scores = np.where(source >= 0, probability(np.nan_to_num(assignment.logits)), found.boxes.scores)

@@ -1,4 +1,4 @@
-"""Shipped weights: one folder per preset, with three ONNX networks and a card that says how to use them.
+"""Shipped weights: one folder per preset, with ONNX networks and a card that says how to use them.
 
 A preset is a folder::
 
@@ -279,7 +279,7 @@ def _read_card_alone(folder: Path) -> WeightsCard:
     files = network_files(folder, found)
     missing = [path for path in files.values() if not path.is_file()]
     if missing:
-        raise CheckpointError(f"{missing[0].parent}: {missing[0].name} is missing; it must hold all three networks")
+        raise CheckpointError(f"{missing[0].parent}: {missing[0].name} is missing")
     return found
 
 
