@@ -57,7 +57,7 @@ from twohands.inference.handedness import (
     last_features,
     rescore,
 )
-from twohands.inference.weights import preset_folder, read_card, second_folder, weights_id, write_card
+from twohands.inference.weights import preset_folder, read_card, weights_id, write_card
 from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
 from twohands.types import HandSample, PinholeCamera
 
@@ -148,10 +148,8 @@ def main() -> int:
 
 
 def views_id(folder: Path) -> str:
-    """Fingerprint of what decides, beside the weights, what a preset's networks are shown and which pair counts."""
-    card = read_card(folder)
-    second = read_card(second_folder(folder, card)).views if card.second else None
-    return hashlib.sha256(repr((card.views, dict(card.decision.second), second)).encode()).hexdigest()[:8]
+    """Fingerprint of what decides, beside the weights, what a preset's networks are shown."""
+    return hashlib.sha256(repr(read_card(folder).views).encode()).hexdigest()[:8]
 
 
 def gathered(options: argparse.Namespace, identity: str) -> list[Seen]:

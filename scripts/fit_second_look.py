@@ -2,13 +2,17 @@
 `datasets`).
 
     python -m scripts.fit_second_look src/twohands/weights/fast --frames PEOPLE WILD PAPER --backgrounds PHOTOS
-        --digits ../shared/data/real_train/digits
+        --digits ../shared/data/real_train/digits --judges OLDER
 
 The pictures are those of scripts/fit_handedness.py, which is run afterwards: what it sees depends on the answer. Both
 pairs see every candidate that is a true hand. The weights are those of a logistic regression on which pair is better,
 in which a hand counts as much as the pairs' errors differ. Prints the mean error of the joints of the pair that is said
 to count, beside those of either pair and of the better one in truth, of pictures held out in turn; writes the weights
 into the card's "decision".
+
+Networks know pictures like those that they learnt from better than anybody's camera, and are sure of them. With
+`--judges FOLDER`, the pose networks of other weights look in place of the first ones as well. If these never saw
+people or digits, the fit learns how far to believe such networks elsewhere.
 """
 
 from __future__ import annotations
@@ -17,6 +21,7 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -25,6 +30,7 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import expit
 from scripts.fit_handedness import FOLDS, add_picture_options, planned, true_side
+from scripts.fit_handedness import judged_by as candidates_judged_by
 
 from twohands.errors import InputError, TwoHandsError
 from twohands.geometry.boxes import box_from_points
@@ -58,18 +64,23 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Fits which pair of pose networks counts for a hand.")
     parser.add_argument("preset", type=Path, help="weights folder; its card is written")
     add_picture_options(parser, count=300, digits=300, photographs=0)
+    parser.add_argument(
+        "--judges", nargs="*", default=[], help="presets whose pose networks stand in for the first ones"
+    )
     parser.add_argument("--dry-run", action="store_true", help="leave the card alone")
     options = parser.parse_args()
     try:
-        estimator = HandEstimator.from_preset(options.preset)
-        if estimator.stages.second is None:
-            raise InputError(f"{estimator.card.name}: it has no second pose networks")
+        own = HandEstimator.from_preset(options.preset)
+        if own.stages.second is None:
+            raise InputError(f"{own.card.name}: it has no second pose networks")
+        judges = [judged_by(own, HandEstimator.from_preset(judge)) for judge in options.judges]
         cv2.setNumThreads(1)
-        hands = [
-            hand
-            for scene, (kind, sample_of) in enumerate(planned(options))
-            for hand in hands_seen(estimator, sample_of(), kind, scene)
-        ]
+        hands = []
+        for scene, (kind, sample_of) in enumerate(planned(options)):
+            sample = sample_of()
+            hands += hands_seen(own, sample, kind, scene)
+            for judge in judges:
+                hands += hands_seen(judge, sample, f"{kind} by {judge.card.name}", scene)
         print_errors(hands, held_out(hands))
         if not options.dry_run:
             write_weights(options.preset, fit(hands))
@@ -77,6 +88,12 @@ def main() -> int:
         print(f"error: {error}", file=sys.stderr)
         return 2
     return 0
+
+
+def judged_by(own: HandEstimator, judge: HandEstimator) -> HandEstimator:
+    """Candidates and second pose networks of one preset, the first ones of another."""
+    judged = candidates_judged_by(own, judge)
+    return HandEstimator(replace(judged.networks, second=own.networks.second), judged.card)
 
 
 def hands_seen(estimator: HandEstimator, sample: HandSample, kind: str, scene: int) -> list[Both]:
@@ -138,7 +155,7 @@ def held_out(hands: Sequence[Both]) -> np.ndarray:
 
 def print_errors(hands: Sequence[Both], says: np.ndarray) -> None:
     """Mean errors by kind, in hundredths of the hand's size."""
-    print(f"{'pictures':12s} {'hands':>6s} {'second':>7s} {'first':>6s} {'second':>7s} {'chosen':>7s} {'better':>7s}")
+    print(f"{'pictures':24s} {'hands':>6s} {'second':>7s} {'first':>6s} {'second':>7s} {'chosen':>7s} {'better':>7s}")
     kinds, errors = np.array([hand.kind for hand in hands]), np.array([[hand.first, hand.second] for hand in hands])
     for kind in (*dict.fromkeys(kinds.tolist()), "all"):
         rows = (kinds == kind) | (kind == "all")
@@ -146,7 +163,7 @@ def print_errors(hands: Sequence[Both], says: np.ndarray) -> None:
         first, second = 100 * errors[rows].mean(axis=0)
         least = 100 * errors[rows].min(axis=1).mean()
         shares = f"{rows.sum():6d} {100 * says[rows].mean():6.1f}% {first:6.2f} {second:7.2f}"
-        print(f"{kind:12s} {shares} {100 * chosen[rows].mean():7.2f} {least:7.2f}")
+        print(f"{kind:24s} {shares} {100 * chosen[rows].mean():7.2f} {least:7.2f}")
 
 
 def write_weights(folder: Path, weights: np.ndarray) -> None:

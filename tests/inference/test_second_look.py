@@ -12,9 +12,8 @@ from twohands.geometry.boxes import apply_homography
 from twohands.geometry.canonical import canonical_from_camera
 from twohands.geometry.rotation import rotation_about_z
 from twohands.inference.decision import SECOND_FEATURES, DecisionConfig
-from twohands.inference.detection import CandidateViews, Detection, HandFinder
+from twohands.inference.detection import Detection, HandFinder
 from twohands.inference.estimator import HandEstimator
-from twohands.inference.handedness import Assignment
 from twohands.inference.keypoints import Keypoints
 from twohands.inference.second_look import doubted, knows_better, second_features
 from twohands.inference.trail import Trail
@@ -65,8 +64,9 @@ class Two:
     """An estimator whose two pairs know the answer; the first is off by 3 pixels and has the scores that are given.
     `seen` are the crops of either pair."""
 
-    def __init__(self, scores=(0.5, 0.9), decision=TRUSTED, **second_card) -> None:
+    def __init__(self, scores=(0.5, 0.9), decision=TRUSTED, second_logit=4.0, **second_card) -> None:
         self.seen: tuple[list[HandCrop], list[HandCrop]] = ([], [])
+        self.hand_logits = (4.0, second_logit)
         card = make_card(hand_logit=True, second_below_score=0.8)
         card = dataclasses.replace(card, decision=dataclasses.replace(card.decision, **decision))
         plain = self.staged(0, card, scores)
@@ -82,7 +82,7 @@ class Two:
 
         def locate(crops):
             self.seen[pair].extend(crops)
-            return oracle.true_maps(crops), np.full(len(crops), 4.0)
+            return oracle.true_maps(crops), np.full(len(crops), self.hand_logits[pair])
 
         def read_out(maps, crops):
             joints_px, _ = plain.read_out(maps, crops)
@@ -100,21 +100,6 @@ class Two:
 
     def estimate(self, previous=None, index=0):
         return self.estimator.estimate(SAMPLE.image, SAMPLE.camera, LENGTH_M, index=index, previous=previous)
-
-
-@pytest.mark.parametrize(("side", "pair"), [(LEFT, 1), (RIGHT, 0)])
-def test_one_hand_found_as_both_is_seen_by_the_second_pair_too(side, pair):
-    """Named case: seen merged, it was the first pair's whatever that said; of the right hand it is sure."""
-    two = Two()
-    masks, boxes = two.estimator.segment(SAMPLE.image)
-    finder = HandFinder(two.estimator.stages, two.estimator.card, SAMPLE.image, SAMPLE.camera)
-    both = np.array([LEFT, RIGHT])
-    crops = finder.crops(masks, boxes.boxes_px, both)
-    found = Detection(masks, boxes, two.estimator.stages.keypoints(crops))
-    views = CandidateViews({}, two.estimator.stages.keypoints(crops))
-    assignment = Assignment(np.where(both == side, both, -1), np.where(both == side, 2.0, np.nan))
-    assigned, _ = finder.assigned(found, assignment, views)
-    assert assigned.keypoints.sides.tolist() == [side] and assigned.keypoints.pairs.tolist() == [pair]
 
 
 def test_the_second_pair_looks_where_the_first_doubts_and_counts_by_the_weights():
@@ -138,6 +123,26 @@ def test_the_second_pair_looks_where_the_first_doubts_and_counts_by_the_weights(
     assert not sure.seen[1], "no doubt, no second look"
 
 
+def test_of_two_hands_whose_boxes_overlap_the_first_pair_is_believed():
+    """Named case: of a hand behind the other one the second pair saw the one in front."""
+    two = Two(scores=(0.5, 0.5))
+    masks, boxes = two.estimator.segment(SAMPLE.image)
+    finder = HandFinder(two.estimator.stages, two.estimator.card, SAMPLE.image, SAMPLE.camera)
+    crops = finder.crops(masks, boxes.boxes_px, np.array([LEFT, RIGHT]))
+    apart = Detection(masks, boxes, finder.looked(masks, boxes.boxes_px, crops))
+    overlapping = np.array([[0.0, 0.0, 50.0, 50.0], [40.0, 40.0, 90.0, 90.0]])
+    together = apart._replace(boxes=dataclasses.replace(boxes, boxes_px=overlapping))
+    assert finder.seen_better(together, boxes.boxes_px) is together and not two.seen[1]
+    assert finder.seen_better(apart, boxes.boxes_px).keypoints.pairs.tolist() == [1, 1]
+
+
+def test_whether_it_is_a_hand_is_said_by_the_first_pair():
+    """Named case: log-odds of both pairs in one decision, which knows those of the first, invented hands."""
+    believed, refused = Two().estimate().left, Two(second_logit=-9.0).estimate().left
+    assert refused.present and refused.score == believed.score
+    np.testing.assert_allclose(refused.joints_px, believed.joints_px)
+
+
 def test_the_second_pair_has_its_own_crops_with_the_fingers_up():
     """The left hand leans by 49 degrees."""
     two = Two(upright_within_deg=25.0)
@@ -151,7 +156,7 @@ def test_the_second_pair_has_its_own_crops_with_the_fingers_up():
 
 
 def test_followed_hands_are_seen_by_both_pairs_too():
-    two = Two(upright_within_deg=25.0)
+    two = Two(scores=(0.79, 0.9), upright_within_deg=25.0)
     first = two.estimate()
     for crops in two.seen:
         crops.clear()

@@ -4,8 +4,8 @@ The order is hand_seg_net and pose_net_2d (in any order), then pose_net_3d on th
 interrupted and resumed. Any setting of the run can be changed with --set, e.g. --set optim.learning_rate=5e-4; the
 run's folder holds all of them in config.json.
 
-With --your-camera instead of a STAGE, the networks of fast go on learning from the shipped weights, on pictures as your camera
-would take them, and --out becomes a weights folder for twohands track.
+With --your-camera instead of a STAGE, the networks of preset fast go on learning, on pictures as your camera would take
+them, and --out becomes a weights folder for twohands track.
 """
 
 from __future__ import annotations

@@ -96,45 +96,54 @@ class HandFinder:
         hands = zip(chosen, sides, strict=True)
         return [stages.crop(self.image, masks, box, int(side), self.camera) for box, side in hands]
 
-    def looked(
-        self, masks: np.ndarray, boxes_px: np.ndarray, crops: list[HandCrop], joints_px: np.ndarray | None = None
-    ) -> Keypoints:
-        """Keypoints of crops by the first pose networks; where the second ones know a hand better, by these.
+    def looked(self, masks: np.ndarray, boxes_px: np.ndarray, crops: list[HandCrop]) -> Keypoints:
+        """Keypoints of crops by the first pose networks.
 
         Args:
             masks: of the picture.
             boxes_px: (2, 4) of LEFT and RIGHT, of which the crops were cut.
             crops: B of them.
-            joints_px: (B, 21, 2) where the joints are expected; None where nothing is known.
         """
-        first = self._uprighted(masks, boxes_px, self.stages.keypoints(crops))
-        return self._known_better(masks, boxes_px, first, joints_px)
+        return self._uprighted(masks, boxes_px, self.stages.keypoints(crops))
 
-    def _known_better(
-        self, masks: np.ndarray, boxes_px: np.ndarray, first: Keypoints, joints_px: np.ndarray | None = None
-    ) -> Keypoints:
-        """Keypoints by the first pose networks; where the second ones know a hand better, by these. Arguments as of
-        `looked`."""
-        if self.stages.second is None or not self.card.decision.second:
-            return first
+    def seen_better(self, found: Detection, boxes_px: np.ndarray, joints_px: np.ndarray | None = None) -> Detection:
+        """Hands that the first pose networks doubt, seen by the second ones as well: their joints count where they know
+        a hand better, and their boxes are those where they were looked for. Which hands are there, and whose, stays
+        what the first ones said. Of two hands whose boxes overlap the second ones would see the nearer one twice.
+
+        Args:
+            found: hands that are decided.
+            boxes_px: (2, 4) of LEFT and RIGHT, where they are looked for.
+            joints_px: (2, 21, 2) where their joints are expected; None where nothing is known.
+        """
+        first, config = found.keypoints, self.card.decision
+        if self.stages.second is None or not config.second:
+            return found
+        if len(first.sides) == 2 and box_iou(*found.boxes.boxes_px) > 0:
+            return found
         rows = np.flatnonzero(doubted(first, self.card.views.second_below_score))
         if not len(rows):
-            return first
-        second = self._second(masks, boxes_px, first.sides[rows], None if joints_px is None else joints_px[rows])
-        better = np.flatnonzero(knows_better(first.rows(rows), second, self.card.decision))
-        return first.replaced(rows[better], second.rows(better))
+            return found
+        sides = first.sides[rows]
+        second = self._second(found.masks, boxes_px, sides, None if joints_px is None else joints_px[sides])
+        better = np.flatnonzero(knows_better(first.rows(rows), second, config))
+        boxes = found.boxes.boxes_px.copy()
+        boxes[sides[better]] = boxes_px[sides[better]]
+        keypoints = first.replaced(rows[better], second.rows(better))
+        return found._replace(keypoints=keypoints, boxes=replace(found.boxes, boxes_px=boxes))
 
     def both_looked(
         self, masks: np.ndarray, boxes_px: np.ndarray, crops: list[HandCrop]
     ) -> tuple[Keypoints, Keypoints]:
-        """Keypoints by the first and by the second pose networks, whatever the first ones say; else as `looked`."""
-        first = self._uprighted(masks, boxes_px, self.stages.keypoints(crops))
+        """Keypoints by the first and by the second pose networks; arguments as of `looked`."""
+        first = self.looked(masks, boxes_px, crops)
         return first, self._second(masks, boxes_px, first.sides, None)
 
     def _second(
         self, masks: np.ndarray, boxes_px: np.ndarray, sides: np.ndarray, joints_px: np.ndarray | None
     ) -> Keypoints:
-        """Keypoints of the hands of some sides by the second pose networks; arguments as of `looked`."""
+        """Keypoints of the hands of B sides by the second pose networks; (B, 21, 2) joints, otherwise as
+        `seen_better`."""
         if joints_px is None:
             crops = self.crops(masks, boxes_px, sides, pair=1)
         else:
@@ -198,7 +207,7 @@ class HandFinder:
         assignment, side_logits = assign_in_clip(evidence, self.card.decision, known)
         assigned, changed = self.assigned(found, assignment, views)
         recropped = self.recropped(assigned._replace(side_logits=side_logits), changed)
-        return self.rescored(recropped, assignment)
+        return self.recropped(self.seen_better(self.rescored(recropped, assignment), assigned.boxes.boxes_px))
 
     def evidence(self, found: Detection, before: Before | None) -> tuple[Evidence, CandidateViews]:
         """What is known of HandSegNet's candidates; PoseNet2D sees them mirrored, or merged, where that may help.
@@ -227,10 +236,8 @@ class HandFinder:
         which of them would be cropped differently now."""
         source = assignment.source
         chosen = dict(views.alone)
-        side = int(source.argmax())
-        if views.merged is not None and (source >= 0).sum() == 1 and source[side] == side:
-            masks, box_px = as_one_hand(found.masks, found.boxes.boxes_px, side)
-            chosen[side, side] = self._known_better(masks, np.tile(box_px, (2, 1)), views.merged.rows([side]))
+        if views.merged is not None and (source >= 0).sum() == 1:
+            chosen |= {(side, side): views.merged.rows([side]) for side in (LEFT, RIGHT)}
         remaining = [chosen[int(side), int(source[side])] for side in np.flatnonzero(source >= 0)]
         keypoints = Keypoints.joined(remaining) if remaining else found.keypoints.rows([])
         scores = np.where(source >= 0, probability(np.nan_to_num(assignment.logits)), found.boxes.scores)

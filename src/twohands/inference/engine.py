@@ -68,8 +68,8 @@ class OpenVinoNetwork:
 
     For pictures of another size than the file's it is compiled again when the first of them comes.
 
-    The arithmetic is int8 where the peaks of the activations are known, else whatever the processor does best: bfloat16
-    where it has such units, or float32.
+    The arithmetic is int8 where the peaks of the activations are known, else float32, also where the processor has
+    units for bfloat16: hands that are in the balance would be found on one machine and not on another.
 
     Args:
         path: the ONNX file.
@@ -108,7 +108,11 @@ class OpenVinoNetwork:
         self._compile = functools.partial(
             core.compile_model,
             device_name="CPU",
-            config={"PERFORMANCE_HINT": "LATENCY", "INFERENCE_NUM_THREADS": threads},
+            config={
+                "PERFORMANCE_HINT": "LATENCY",
+                "INFERENCE_NUM_THREADS": threads,
+                "INFERENCE_PRECISION_HINT": "f32",  # bfloat16 where there is AMX sees other hands than elsewhere
+            },
         )
         self._network = self._compile(model)
         self._lock = threading.Lock()

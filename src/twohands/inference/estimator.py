@@ -130,10 +130,12 @@ class HandEstimator:
         else:
             keypoints = self.stages.keypoints(crops, given_heatmaps(self.card, truth.heatmaps, crops))
         found = Detection(masks, boxes, keypoints.corrected(truth.joints_px))
-        if known_boxes or truth.heatmaps is not None or truth.joints_px is not None:
+        if truth.heatmaps is not None or truth.joints_px is not None:
             return found
+        if known_boxes:
+            return finder.seen_better(found, boxes.boxes_px)
         if truth.present is not None or not self.card.decides:
-            return finder.recropped(found)
+            return finder.recropped(finder.seen_better(finder.recropped(found), boxes.boxes_px))
         return finder.decided(found, trail)
 
     def place_hands(

@@ -52,14 +52,15 @@ def followed_hands(finder: HandFinder, trail: Trail, time: float) -> Detection |
     masks = moved_masks(trail, expected_px)
     present = np.flatnonzero(boxes.present)
     crops = finder.joint_crops(masks, boxes.boxes_px, expected_px[present], present, np.zeros(len(present), int))
-    keypoints = finder.looked(masks, boxes.boxes_px, crops, expected_px[present])
-    found = finder.recropped(Detection(masks, boxes, keypoints))
-    sides = found.keypoints.sides
-    if (strayed(expected_px[sides], found.keypoints.joints_px) > FARTHEST).any():
-        return None
+    found = finder.recropped(Detection(masks, boxes, finder.looked(masks, boxes.boxes_px, crops)))
     found = finder.rescored(found, followed_assignment(trail, boxes.present))
     doubtful = ~found.boxes.present | (found.boxes.scores < 0.5)
-    return None if (boxes.present & doubtful).any() else found._replace(followed=True)
+    if (boxes.present & doubtful).any():
+        return None
+    found = finder.recropped(finder.seen_better(found, boxes.boxes_px, expected_px))
+    sides = found.keypoints.sides
+    far = strayed(expected_px[sides], found.keypoints.joints_px) > FARTHEST
+    return None if far.any() else found._replace(followed=True)
 
 
 def expected_joints(trail: Trail, time: float) -> np.ndarray:

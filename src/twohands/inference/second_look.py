@@ -2,8 +2,9 @@
 
 Ours. Networks that have learnt from renderings alone place the joints of rendered hands best; networks on an encoder
 that has seen real hands know those of people better. A preset may have both: where the first pair doubts, the second
-looks at the hand as well, and a logistic model whose weights the card holds says which one counts. Features in,
-decisions out; scripts/fit_second_look.py fits the weights.
+looks at the hand as well, and a logistic model whose weights the card holds says whose joints count. Which hands are
+there, and whose, the first pair has said before: what the two say of that is not to be compared. Features in, decisions
+out; scripts/fit_second_look.py fits the weights.
 """
 
 from __future__ import annotations
