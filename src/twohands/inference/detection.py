@@ -106,7 +106,9 @@ class HandFinder:
         """
         return self._uprighted(masks, boxes_px, self.stages.keypoints(crops))
 
-    def seen_better(self, found: Detection, boxes_px: np.ndarray, joints_px: np.ndarray | None = None) -> Detection:
+    def seen_better(
+        self, found: Detection, boxes_px: np.ndarray, joints_px: np.ndarray | None = None, *, recrop: bool = True
+    ) -> Detection:
         """Hands that the first pose networks doubt, seen by the second ones as well: their joints count where they know
         a hand better, and their boxes are those where they were looked for. Which hands are there, and whose, stays
         what the first ones said. Of two hands whose boxes overlap the second ones would see the nearer one twice.
@@ -115,6 +117,7 @@ class HandFinder:
             found: hands that are decided.
             boxes_px: (2, 4) of LEFT and RIGHT, where they are looked for.
             joints_px: (2, 21, 2) where their joints are expected; None where nothing is known.
+            recrop: whether they are `recropped` then.
         """
         first, config = found.keypoints, self.card.decision
         if self.stages.second is None or not config.second:
@@ -127,10 +130,13 @@ class HandFinder:
         sides = first.sides[rows]
         second = self._second(found.masks, boxes_px, sides, None if joints_px is None else joints_px[sides])
         better = np.flatnonzero(knows_better(first.rows(rows), second, config))
+        if not len(better):
+            return found
         boxes = found.boxes.boxes_px.copy()
         boxes[sides[better]] = boxes_px[sides[better]]
         keypoints = first.replaced(rows[better], second.rows(better))
-        return found._replace(keypoints=keypoints, boxes=replace(found.boxes, boxes_px=boxes))
+        seen = found._replace(keypoints=keypoints, boxes=replace(found.boxes, boxes_px=boxes))
+        return self.recropped(seen) if recrop else seen
 
     def both_looked(
         self, masks: np.ndarray, boxes_px: np.ndarray, crops: list[HandCrop]
@@ -207,7 +213,7 @@ class HandFinder:
         assignment, side_logits = assign_in_clip(evidence, self.card.decision, known)
         assigned, changed = self.assigned(found, assignment, views)
         recropped = self.recropped(assigned._replace(side_logits=side_logits), changed)
-        return self.recropped(self.seen_better(self.rescored(recropped, assignment), assigned.boxes.boxes_px))
+        return self.seen_better(self.rescored(recropped, assignment), assigned.boxes.boxes_px)
 
     def evidence(self, found: Detection, before: Before | None) -> tuple[Evidence, CandidateViews]:
         """What is known of HandSegNet's candidates; PoseNet2D sees them mirrored, or merged, where that may help.

@@ -57,7 +57,7 @@ def followed_hands(finder: HandFinder, trail: Trail, time: float) -> Detection |
     doubtful = ~found.boxes.present | (found.boxes.scores < 0.5)
     if (boxes.present & doubtful).any():
         return None
-    found = finder.recropped(finder.seen_better(found, boxes.boxes_px, expected_px))
+    found = finder.seen_better(found, boxes.boxes_px, expected_px)
     sides = found.keypoints.sides
     far = strayed(expected_px[sides], found.keypoints.joints_px) > FARTHEST
     return None if far.any() else found._replace(followed=True)
