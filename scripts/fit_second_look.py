@@ -4,8 +4,8 @@
     python -m scripts.fit_second_look src/twohands/weights/fast --frames PEOPLE WILD PAPER --backgrounds PHOTOS
         --digits ../shared/data/real_train/digits --judges OLDER
 
-The pictures are those of scripts/fit_handedness.py, which is run afterwards: what it sees depends on the answer. Both
-pairs see every candidate that is a true hand. The weights are those of a logistic regression on which pair is better,
+The pictures are those of scripts/fit_handedness.py, whose decision does not depend on the answer. Both pairs see every
+candidate that is a true hand. The weights are those of a logistic regression on which pair is better,
 in which a hand counts as much as the pairs' errors differ. Prints the mean error of the joints of the pair that is said
 to count, beside those of either pair and of the better one in truth, of pictures held out in turn; writes the weights
 into the card's "decision".

@@ -249,9 +249,14 @@ def preset_folder(preset: str | Path) -> Path:
     if (folder / "card.json").is_file() and not (is_name and isinstance(preset, str)):
         return folder
     if is_name:
-        return Path(str(resources.files("twohands") / "weights" / str(preset)))
+        return _shipped(str(preset))
     known = ", ".join(names) or "none"
     raise CheckpointError(f"weights '{preset}' not found: neither a folder with a card.json nor a preset ({known})")
+
+
+def _shipped(name: str) -> Path:
+    """Where the shipped weights of a name are; the folder need not exist."""
+    return Path(str(resources.files("twohands") / "weights" / name))
 
 
 def read_card(folder: Path) -> WeightsCard:
@@ -300,7 +305,7 @@ def network_files(folder: Path, card: WeightsCard) -> dict[str, Path]:
 def second_folder(folder: Path, card: WeightsCard) -> Path:
     """Where the second pose networks of a preset's folder are, of a card that names some; it need not exist."""
     beside = folder.resolve().parent / card.second
-    return beside if beside.is_dir() else Path(str(resources.files("twohands") / "weights" / card.second))
+    return beside if beside.is_dir() else _shipped(card.second)
 
 
 def weights_id(folder: Path, card: WeightsCard) -> str:
