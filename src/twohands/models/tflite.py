@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,16 @@ def read_convolutions(path: str | Path) -> list[tuple[Tensor, Tensor]]:
         MissingExtraError: the reader is not installed.
         CheckpointError: the file cannot be read or is none of that kind.
     """
+    return _read(path, _convolutions)
+
+
+def read_slopes(path: str | Path) -> list[Tensor]:
+    """Slopes (channels,) of a network's leaky ReLUs below zero, in the order in which they run, float32; errors as of
+    `read_convolutions`."""
+    return _read(path, _slopes)
+
+
+def _read(path: str | Path, of: Callable[[Any, Any], list[Any]]) -> list[Any]:
     try:
         import tflite
     except ImportError as error:
@@ -39,15 +50,30 @@ def read_convolutions(path: str | Path) -> list[tuple[Tensor, Tensor]]:
         raise CheckpointError(f"{path} is no TensorFlow Lite file")
     try:
         model = tflite.Model.GetRootAsModel(content, 0)
-        return _convolutions(model, tflite)
+        return of(model, tflite)
     except (struct.error, TypeError, ValueError, IndexError, KeyError, AttributeError) as error:
         raise CheckpointError(f"{path} is no readable TensorFlow Lite file: {error}") from error
 
 
 def _convolutions(model: Any, tflite: Any) -> list[tuple[Tensor, Tensor]]:
-    graph, operator = model.Subgraphs(0), tflite.BuiltinOperator
+    orders = {  # of outputs, inputs / groups, rows and columns
+        tflite.BuiltinOperator.CONV_2D: (0, 3, 1, 2),
+        tflite.BuiltinOperator.DEPTHWISE_CONV_2D: (3, 0, 1, 2),
+    }
+    return [
+        (kernel.permute(orders[kind]).contiguous(), bias)
+        for kind, (kernel, bias) in _stored(model, tflite, tuple(orders))
+    ]
+
+
+def _slopes(model: Any, tflite: Any) -> list[Tensor]:
+    return [slopes.flatten() for _, (slopes,) in _stored(model, tflite, (tflite.BuiltinOperator.PRELU,))]
+
+
+def _stored(model: Any, tflite: Any, kinds: tuple[int, ...]) -> Iterator[tuple[int, list[Tensor]]]:
+    """Kind of every node of some kinds, and what the file stores for it."""
+    graph = model.Subgraphs(0)
     sources: dict[int, int] = {}  # tensor -> the stored one that it widens
-    found: list[tuple[Tensor, Tensor]] = []
 
     def stored(number: int) -> Tensor:
         tensor = graph.Tensors(sources.get(number, number))
@@ -59,10 +85,7 @@ def _convolutions(model: Any, tflite: Any) -> list[tuple[Tensor, Tensor]]:
     for i in range(graph.OperatorsLength()):
         node = graph.Operators(i)
         kind, inputs = model.OperatorCodes(node.OpcodeIndex()).BuiltinCode(), node.InputsAsNumpy()
-        if kind == operator.DEQUANTIZE:
+        if kind == tflite.BuiltinOperator.DEQUANTIZE:
             sources[int(node.OutputsAsNumpy()[0])] = int(inputs[0])
-        elif kind == operator.CONV_2D:  # outputs, rows, columns, inputs
-            found.append((stored(int(inputs[1])).permute(0, 3, 1, 2).contiguous(), stored(int(inputs[2]))))
-        elif kind == operator.DEPTHWISE_CONV_2D:  # 1, rows, columns, outputs
-            found.append((stored(int(inputs[1])).permute(3, 0, 1, 2).contiguous(), stored(int(inputs[2]))))
-    return found
+        elif kind in kinds:
+            yield kind, [stored(int(number)) for number in inputs[1:]]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from pathlib import Path
 from typing import Any, cast
 
@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from twohands.errors import InputError
 from twohands.models.blocks import freeze_batch_norm
 from twohands.models.checkpoint import load_network, network_name
-from twohands.models.efficientnet import LEVELS, encoder_of, load_published
+from twohands.models.efficientnet import LEVELS, encoder_of, load_published, palm_encoder_of
 from twohands.models.hand_seg_net import HandSegNetConfig
 from twohands.models.pose_net_2d import PoseNet2D, PoseNet2DConfig
 from twohands.models.pose_net_3d import PoseNet3DConfig
@@ -47,11 +47,13 @@ def build_stage(config: TrainConfig, weights: Sequence[Path] = (), *, require_we
         config.networks.check_cues()
         stage = Pose3DStage(config, PoseNet2D(config.networks.pose_net_2d))
         known = {"pose_net_2d": stage.net_2d, "pose_net_3d": stage.net_3d}
-    filled: set[str] = set()
+    filled: dict[str, Any] = {}
     for path in weights:
-        filled.add(_fill(known, path))
+        filled |= _fill(known, path)
     for name, network in known.items():
-        prepare_encoder(network, config, fresh=require_weights and name not in filled)
+        encoders = {"encoder"} if name in filled else set()
+        encoders |= {"palm"} if getattr(filled.get(name), "palm", False) else set()
+        prepare_encoders(network, config, known=encoders if require_weights else {"encoder", "palm"})
     if require_weights and config.stage == "pose_net_3d" and "pose_net_2d" not in filled:
         raise InputError("stage pose_net_3d needs the weights of a trained pose_net_2d (--weights FILE)")
     if config.optim.frozen_norm:
@@ -61,23 +63,30 @@ def build_stage(config: TrainConfig, weights: Sequence[Path] = (), *, require_we
     return stage
 
 
-def prepare_encoder(network: nn.Module, config: TrainConfig, *, fresh: bool) -> None:
-    """Make an encoder that others have trained ready to learn, in place; nothing where a network has none.
+def prepare_encoders(network: nn.Module, config: TrainConfig, *, known: Set[str]) -> None:
+    """Make encoders that others have trained ready to learn, in place, or one that knows palms to stay as it is;
+    nothing where a network has none.
 
     Args:
         network: of the run.
         config: the run.
-        fresh: whether its weights are random so far: then they are replaced by the published ones.
+        known: which of "encoder" and "palm" have weights: those of the others are random so far, and replaced by the
+            published ones.
 
     Raises:
         InputError: their file is not named.
         MissingExtraError: the published weights are not installed.
         CheckpointError: they are not what is expected.
     """
-    encoder = encoder_of(network)
+    encoder, palm = encoder_of(network), palm_encoder_of(network)
     if encoder is None or not config.pretrained:
         return
-    if fresh:
+    if palm is not None:
+        if "palm" not in known:
+            palm.fill(config.encoder)
+        freeze_batch_norm(palm)
+        palm.requires_grad_(False)
+    if "encoder" not in known:
         load_published(encoder, config.encoder)
     freeze_batch_norm(encoder)
     frozen = config.optim.frozen_levels
@@ -86,8 +95,9 @@ def prepare_encoder(network: nn.Module, config: TrainConfig, *, fresh: bool) -> 
         part.requires_grad_(False)
 
 
-def _fill(known: Mapping[str, nn.Module], path: Path) -> str:
-    """Load a checkpoint into the network of a stage that it belongs to; returns that network's name.
+def _fill(known: Mapping[str, nn.Module], path: Path) -> dict[str, Any]:
+    """Load a checkpoint into the network of a stage that it belongs to; that network's name, and the shape that the
+    checkpoint has.
 
     The pose networks may come without a judge and with fewer cues: the run's own stay fresh. HandSegNet may come from
     pictures of another size and without context, PoseNet2D from crops of another.
@@ -102,14 +112,15 @@ def _fill(known: Mapping[str, nn.Module], path: Path) -> str:
         raise InputError(f"{path}: {name} has the shape {found}, but this run asks for {asked}")
     fresh, given = wanted.state_dict(), loaded.state_dict()
     wanted.load_state_dict(fresh | {key: _filled(fresh[key], values) for key, values in given.items()})
-    return name
+    return {name: loaded.config}
 
 
 def _with_free_settings(found: Any, asked: Any) -> Any:
     """The configuration of a loaded network, with what may differ taken from the one that is asked for."""
     if isinstance(found, HandSegNetConfig) and isinstance(asked, HandSegNetConfig):
         context = max(found.context, asked.context)
-        return dataclasses.replace(found, height=asked.height, width_px=asked.width_px, context=context)
+        size = {"height": asked.height, "width_px": asked.width_px}
+        return dataclasses.replace(found, **size, context=context, palm=found.palm or asked.palm)
     if isinstance(found, PoseNet2DConfig) and isinstance(asked, PoseNet2DConfig):
         return dataclasses.replace(
             found, crop_size=asked.crop_size, judge=found.judge or asked.judge, cues=max(found.cues, asked.cues)
