@@ -88,8 +88,8 @@ class Seen(NamedTuple):
         scene: pictures of one scene are held out together.
         present: (2,) bool, the true hands.
         evidence: of the candidates; `before` is None.
-        last: (7, 2, 5) PoseNet2D's log-odds, joints' score and size after the last view, and log-odds and joints' score
-            by the second pose networks, by answer and side; NaN for what cannot be, or was not looked at.
+        last: (7, 2, 3) PoseNet2D's log-odds, joints' score and size after the last view, by answer and side; NaN for
+            what cannot be.
         distance: (7,) distance of the palms after it.
         boxes_px: (7, 2, 4) boxes after it.
         outcome: (7, 2) int, what every hand of every answer is.
@@ -266,17 +266,15 @@ def moved(sample: HandSample, rng: np.random.Generator) -> HandSample:
 
 def deciding(estimator: HandEstimator) -> HandEstimator:
     """The same, looking at candidates whether its card is fitted yet or not."""
-    nothing = {"first": {"hand": 0.0}, "last": {"hand": 0.0}, "second": {"second": 0.0}}
-    decision = replace(estimator.card.decision, **nothing)
+    decision = replace(estimator.card.decision, first={"hand": 0.0}, last={"hand": 0.0})
     return HandEstimator(estimator.networks, replace(estimator.card, decision=decision))
 
 
 def judged_by(own: HandEstimator, judge: HandEstimator) -> HandEstimator:
-    """Candidates and second pose networks of one preset, the first ones of another."""
+    """Candidates of one preset, seen by the pose networks of another."""
     pose = ("name", "crop_size", "crop_kind", "crop_margin", "heatmap_decode", "background", "hand_logit", "cues")
     card = replace(own.card, **{name: getattr(judge.card, name) for name in pose})
-    networks = replace(judge.networks, hand_seg_net=own.networks.hand_seg_net, second=own.networks.second)
-    return HandEstimator(networks, card)
+    return HandEstimator(replace(judge.networks, hand_seg_net=own.networks.hand_seg_net), card)
 
 
 def seen(estimator: HandEstimator, sample: HandSample, kind: str, scene: int, earlier: int) -> Seen:
@@ -284,7 +282,7 @@ def seen(estimator: HandEstimator, sample: HandSample, kind: str, scene: int, ea
     masks, boxes = estimator.segment(sample.image)
     finder = HandFinder(estimator.stages, estimator.card, sample.image, sample.camera)
     sides = np.flatnonzero(boxes.present)
-    last, distance = np.full((len(ANSWERS), 2, 5), np.nan), np.full(len(ANSWERS), np.inf)
+    last, distance = np.full((len(ANSWERS), 2, 3), np.nan), np.full(len(ANSWERS), np.inf)
     boxes_px, outcome = np.full((len(ANSWERS), 2, 4), np.nan), np.zeros((len(ANSWERS), 2), int)
     if not len(sides):
         unseen, nothing = np.full((2, 2), np.nan), np.zeros((2, 2))
@@ -308,10 +306,9 @@ def seen(estimator: HandEstimator, sample: HandSample, kind: str, scene: int, ea
             outcome[answer][there] = outcome[same][there]
             continue
         assignment = Assignment(source, np.where(source >= 0, 0.0, np.nan))
-        assigned, changed = finder.assigned(found, assignment, views)
-        after = finder.recropped(assigned, changed)
-        look = finder.last_look(after, assignment, finder.second_look(after, assigned.boxes.boxes_px))
-        last[answer] = np.column_stack([look.pose, look.joints, look.size, look.second])
+        after = finder.recropped(*finder.assigned(found, assignment, views))
+        look = finder.last_look(after, assignment)
+        last[answer] = np.stack([look.pose, look.joints, look.size], axis=-1)
         distance[answer], boxes_px[answer] = look.palm_distance, after.boxes.boxes_px
         for row, side in enumerate(after.keypoints.sides):
             outcome[answer, side] = outcome_of(after.keypoints.joints_px[row], int(side), sample)
@@ -364,8 +361,8 @@ def answered(one: Seen, before: Before | None, config: DecisionConfig) -> tuple[
 
 def look_of(one: Seen, answer: int, assignment: Assignment) -> LastLook:
     """The last look at the hands of an answer."""
-    (pose, joints, size), second = np.moveaxis(one.last[answer, :, :3], -1, 0), one.last[answer, :, 3:]
-    return LastLook(assignment.source, assignment.logits, pose, joints, size, float(one.distance[answer]), second)
+    pose, joints, size = np.moveaxis(one.last[answer], -1, 0)
+    return LastLook(assignment.source, assignment.logits, pose, joints, size, float(one.distance[answer]))
 
 
 def fitted_first(known: Sequence[tuple[Seen, Before | None]], config: DecisionConfig) -> DecisionConfig:

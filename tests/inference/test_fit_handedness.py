@@ -45,9 +45,9 @@ def judged_picture(rng, scene: int, earlier: int = -1) -> Seen:
     boxes_px = np.array([[20.0, 10, 60, 50], [NO] * 4])
     maps = BoxEvidence(*np.zeros((4, 2, 2)))
     evidence = Evidence((100, 200), boxes_px, maps, pose, np.where(np.isnan(pose), NO, 0.8))
-    last, boxes, outcome = np.full((7, 2, 5), NO), np.full((7, 2, 4), NO), np.zeros((7, 2), int)
+    last, boxes, outcome = np.full((7, 2, 3), NO), np.full((7, 2, 4), NO), np.zeros((7, 2), int)
     for answer, side in ((1, 0), (3, 1)):
-        last[answer, side], boxes[answer, side] = [pose[side, 0], 0.8, 0.2, NO, NO], boxes_px[0]
+        last[answer, side], boxes[answer, side] = [pose[side, 0], 0.8, 0.2], boxes_px[0]
         outcome[answer, side] = kind if kind == INVENTED or side == 0 else WRONG_SIDE + RIGHTLY - kind
     present = np.array([kind == RIGHTLY, kind == WRONG_SIDE])
     return Seen("made", scene, present, evidence, last, np.full(7, np.inf), boxes, outcome, earlier)

@@ -180,11 +180,9 @@ def test_the_mirror_image_has_the_mirrored_last_answer():
     rng = np.random.default_rng(0)
     for _ in range(50):
         rules = random_rules(rng)
-        second = np.where(rng.random((2, 1)) < 0.5, NO, rng.uniform(0, 1, (2, 2)))
-        logits, shares = rng.normal(0, 2, (2, 2)), rng.uniform(0.1, 1, (2, 2))
-        look = LastLook(np.array([0, 1]), *logits, *shares, rng.uniform(0, 1.2), second)
+        look = LastLook(np.array([0, 1]), *rng.normal(0, 2, (2, 2)), *rng.uniform(0.1, 1, (2, 2)), rng.uniform(0, 1.2))
         swapped = [values[::-1] for values in (look.first, look.pose, look.joints, look.size)]
-        other = LastLook(np.array([0, 1]), *swapped, look.palm_distance, second[::-1])
+        other = LastLook(np.array([0, 1]), *swapped, look.palm_distance)
         (kept, logits), (other_kept, other_logits) = rescore(look, rules), rescore(other, rules)
         assert kept.tolist() == other_kept[::-1].tolist()
         np.testing.assert_allclose(logits, other_logits[::-1], rtol=1e-9, atol=1e-9)
@@ -233,16 +231,6 @@ def test_the_last_look_by_hand():
     assert kept.tolist() == [False, False]
     np.testing.assert_allclose(logits, [-0.8, NO])
     assert np.isnan(last_features(alone)[[i for i, (_, right) in enumerate(KEPT) if right]]).all()
-
-
-def test_the_second_pose_networks_in_the_last_look_by_hand():
-    """They looked at LEFT alone."""
-    ones = np.ones(2)
-    look = LastLook(np.array([0, 1]), ones, ones, ones, ones, 9.0, np.array([[-9.0, 0.7], [NO, NO]]))
-    names = ("second", "second_pose", "second_joints")
-    values = last_features(look)[:, [LAST_FEATURES.index(name) for name in names]]
-    left = [1, -6, 0.7 - 0.8]  # log-odds are limited
-    np.testing.assert_allclose(values, [[0, 0, 0], left, [0, 0, 0], left], atol=1e-12)
 
 
 def test_what_goes_in_stays_as_it_is():

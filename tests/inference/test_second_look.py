@@ -132,25 +132,15 @@ def test_of_two_hands_whose_boxes_overlap_the_first_pair_is_believed():
     apart = Detection(masks, boxes, finder.looked(masks, boxes.boxes_px, crops))
     overlapping = np.array([[0.0, 0.0, 50.0, 50.0], [40.0, 40.0, 90.0, 90.0]])
     together = apart._replace(boxes=dataclasses.replace(boxes, boxes_px=overlapping))
-    assert finder.second_look(together, boxes.boxes_px) is None and not two.seen[1]
-    second = finder.second_look(apart, boxes.boxes_px)
-    assert second is not None and second.sides.tolist() == [LEFT, RIGHT]
-    assert finder.seen_better(together, boxes.boxes_px, None) is together
-    assert finder.seen_better(apart, boxes.boxes_px, second).keypoints.pairs.tolist() == [1, 1]
-    right = apart._replace(keypoints=apart.keypoints.rows([RIGHT]))
-    better = finder.seen_better(right, boxes.boxes_px, second).keypoints
-    assert (better.sides.tolist(), better.pairs.tolist()) == ([RIGHT], [1]), "a hand given up since then stays so"
+    assert finder.seen_better(together, boxes.boxes_px) is together and not two.seen[1]
+    assert finder.seen_better(apart, boxes.boxes_px).keypoints.pairs.tolist() == [1, 1]
 
 
-def test_whether_it_is_a_hand_both_pairs_say_each_by_its_own_weights():
-    """Named case: log-odds of the second pair, weighed as if they were the first one's, invented hands."""
+def test_whether_it_is_a_hand_is_said_by_the_first_pair():
+    """Named case: log-odds of both pairs in one decision, which knows those of the first, invented hands."""
     believed, refused = Two().estimate().left, Two(second_logit=-9.0).estimate().left
-    assert refused.present and refused.score == believed.score, "without a weight they say nothing"
-    last = {"last": {"first": 1.0, "second_pose": 1.0}}
-    believed = Two(decision=TRUSTED | last).estimate()
-    assert believed.left.present and believed.left.score > believed.right.score, "of the right one nobody was asked"
-    refused = Two(decision=TRUSTED | last, second_logit=-9.0).estimate()
-    assert not refused.left.present and refused.right.present
+    assert refused.present and refused.score == believed.score
+    np.testing.assert_allclose(refused.joints_px, believed.joints_px)
 
 
 def test_the_second_pair_has_its_own_crops_with_the_fingers_up():

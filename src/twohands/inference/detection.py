@@ -106,56 +106,37 @@ class HandFinder:
         """
         return self._uprighted(masks, boxes_px, self.stages.keypoints(crops))
 
-    def second_look(
-        self, found: Detection, boxes_px: np.ndarray, joints_px: np.ndarray | None = None
-    ) -> Keypoints | None:
-        """The hands that the first pose networks doubt, seen by the second ones. Of two hands whose boxes overlap these
-        would see the nearer one twice.
-
-        Args:
-            found: hands by the first pose networks.
-            boxes_px: (2, 4) of LEFT and RIGHT, where they are looked for.
-            joints_px: (2, 21, 2) where their joints are expected; None where nothing is known.
-
-        Returns:
-            None where the second ones see no hand.
-        """
-        first = found.keypoints
-        if self.stages.second is None or not self.card.decision.second:
-            return None
-        if len(first.sides) == 2 and box_iou(*found.boxes.boxes_px) > 0:
-            return None
-        sides = first.sides[doubted(first, self.card.views.second_below_score)]
-        if not len(sides):
-            return None
-        return self._second(found.masks, boxes_px, sides, None if joints_px is None else joints_px[sides])
-
     def seen_better(
-        self, found: Detection, boxes_px: np.ndarray, second: Keypoints | None, *, recrop: bool = True
+        self, found: Detection, boxes_px: np.ndarray, joints_px: np.ndarray | None = None, *, recrop: bool = True
     ) -> Detection:
-        """The joints of the second pose networks count where they know a hand better; its box is then that in which
-        they looked for it. Whose hands these are stays what the first ones said.
+        """Hands that the first pose networks doubt, seen by the second ones as well: their joints count where they know
+        a hand better, and their boxes are those where they were looked for. Which hands are there, and whose, stays
+        what the first ones said. Of two hands whose boxes overlap the second ones would see the nearer one twice.
 
         Args:
             found: hands that are decided.
-            boxes_px: (2, 4) of LEFT and RIGHT, where they were looked for.
-            second: `second_look` at them, and perhaps at others.
+            boxes_px: (2, 4) of LEFT and RIGHT, where they are looked for.
+            joints_px: (2, 21, 2) where their joints are expected; None where nothing is known.
             recrop: whether they are `recropped` then.
         """
-        if second is None:
+        first, config = found.keypoints, self.card.decision
+        if self.stages.second is None or not config.second:
             return found
-        seen = [np.flatnonzero(found.keypoints.sides == side) for side in second.sides]
-        second, rows = second.rows([i for i, row in enumerate(seen) if len(row)]), np.concatenate(seen)
+        if len(first.sides) == 2 and box_iou(*found.boxes.boxes_px) > 0:
+            return found
+        rows = np.flatnonzero(doubted(first, self.card.views.second_below_score))
         if not len(rows):
             return found
-        better = np.flatnonzero(knows_better(found.keypoints.rows(rows), second, self.card.decision))
+        sides = first.sides[rows]
+        second = self._second(found.masks, boxes_px, sides, None if joints_px is None else joints_px[sides])
+        better = np.flatnonzero(knows_better(first.rows(rows), second, config))
         if not len(better):
             return found
-        sides, boxes = second.sides[better], found.boxes.boxes_px.copy()
-        boxes[sides] = boxes_px[sides]
-        keypoints = found.keypoints.replaced(rows[better], second.rows(better))
-        changed = found._replace(keypoints=keypoints, boxes=replace(found.boxes, boxes_px=boxes))
-        return self.recropped(changed) if recrop else changed
+        boxes = found.boxes.boxes_px.copy()
+        boxes[sides[better]] = boxes_px[sides[better]]
+        keypoints = first.replaced(rows[better], second.rows(better))
+        seen = found._replace(keypoints=keypoints, boxes=replace(found.boxes, boxes_px=boxes))
+        return self.recropped(seen) if recrop else seen
 
     def both_looked(
         self, masks: np.ndarray, boxes_px: np.ndarray, crops: list[HandCrop]
@@ -168,7 +149,7 @@ class HandFinder:
         self, masks: np.ndarray, boxes_px: np.ndarray, sides: np.ndarray, joints_px: np.ndarray | None
     ) -> Keypoints:
         """Keypoints of the hands of B sides by the second pose networks; (B, 21, 2) joints, otherwise as
-        `second_look`."""
+        `seen_better`."""
         if joints_px is None:
             crops = self.crops(masks, boxes_px, sides, pair=1)
         else:
@@ -231,12 +212,8 @@ class HandFinder:
         evidence, views = self.evidence(found, before)
         assignment, side_logits = assign_in_clip(evidence, self.card.decision, known)
         assigned, changed = self.assigned(found, assignment, views)
-        recropped, boxes_px = (
-            self.recropped(assigned._replace(side_logits=side_logits), changed),
-            assigned.boxes.boxes_px,
-        )
-        second = self.second_look(recropped, boxes_px)
-        return self.seen_better(self.rescored(recropped, assignment, second), boxes_px, second)
+        recropped = self.recropped(assigned._replace(side_logits=side_logits), changed)
+        return self.seen_better(self.rescored(recropped, assignment), assigned.boxes.boxes_px)
 
     def evidence(self, found: Detection, before: Before | None) -> tuple[Evidence, CandidateViews]:
         """What is known of HandSegNet's candidates; PoseNet2D sees them mirrored, or merged, where that may help.
@@ -288,21 +265,18 @@ class HandFinder:
             boxes = self.joint_boxed(found.boxes, keypoints)
         return found._replace(boxes=boxes, keypoints=keypoints)
 
-    def last_look(self, found: Detection, assignment: Assignment, second: Keypoints | None) -> LastLook:
-        """What is known of an assignment's hands after the last view of them, and the `second_look`."""
+    def last_look(self, found: Detection, assignment: Assignment) -> LastLook:
+        """What is known of an assignment's hands after the last view of them."""
         last, sides = found.keypoints, found.keypoints.sides
         pose, joints, size = np.full((3, 2), np.nan)
         pose[sides], joints[sides] = last.hand_logits, last.joint_scores.mean(axis=-1)
         size[sides] = box_sizes(found.boxes.boxes_px[sides], self.size)
         distance = palm_distance(last.joints_px, found.boxes.boxes_px[sides]) if len(sides) == 2 else math.inf
-        again = np.full((2, 2), np.nan)
-        if second is not None:
-            again[second.sides] = np.column_stack([second.hand_logits, second.joint_scores.mean(axis=-1)])
-        return LastLook(assignment.source, assignment.logits, pose, joints, size, distance, again)
+        return LastLook(assignment.source, assignment.logits, pose, joints, size, distance)
 
-    def rescored(self, found: Detection, assignment: Assignment, second: Keypoints | None) -> Detection:
-        """The hands that are still ones after the last view of them, and the `second_look`."""
-        kept, logits = rescore(self.last_look(found, assignment, second), self.card.decision)
+    def rescored(self, found: Detection, assignment: Assignment) -> Detection:
+        """The hands that are still ones after the last view of them."""
+        kept, logits = rescore(self.last_look(found, assignment), self.card.decision)
         sides = found.keypoints.sides
         scores = found.boxes.scores.copy()
         scores[sides] = probability(logits[sides])

@@ -133,10 +133,9 @@ class HandEstimator:
         if truth.heatmaps is not None or truth.joints_px is not None:
             return found
         if known_boxes:
-            return finder.seen_better(found, boxes.boxes_px, finder.second_look(found, boxes.boxes_px), recrop=False)
+            return finder.seen_better(found, boxes.boxes_px, recrop=False)
         if truth.present is not None or not self.card.decides:
-            recropped = finder.recropped(found)
-            return finder.seen_better(recropped, boxes.boxes_px, finder.second_look(recropped, boxes.boxes_px))
+            return finder.seen_better(finder.recropped(found), boxes.boxes_px)
         return finder.decided(found, trail)
 
     def place_hands(

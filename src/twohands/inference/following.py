@@ -53,12 +53,11 @@ def followed_hands(finder: HandFinder, trail: Trail, time: float) -> Detection |
     present = np.flatnonzero(boxes.present)
     crops = finder.joint_crops(masks, boxes.boxes_px, expected_px[present], present, np.zeros(len(present), int))
     found = finder.recropped(Detection(masks, boxes, finder.looked(masks, boxes.boxes_px, crops)))
-    second = finder.second_look(found, boxes.boxes_px, expected_px)
-    found = finder.rescored(found, followed_assignment(trail, boxes.present), second)
+    found = finder.rescored(found, followed_assignment(trail, boxes.present))
     doubtful = ~found.boxes.present | (found.boxes.scores < 0.5)
     if (boxes.present & doubtful).any():
         return None
-    found = finder.seen_better(found, boxes.boxes_px, second)
+    found = finder.seen_better(found, boxes.boxes_px, expected_px)
     sides = found.keypoints.sides
     far = strayed(expected_px[sides], found.keypoints.joints_px) > FARTHEST
     return None if far.any() else found._replace(followed=True)

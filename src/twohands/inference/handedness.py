@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -112,8 +112,6 @@ class LastLook:
         joints: (2,) mean score of the joints in it, 0..1.
         size: (2,) longer side of the hand's box as a share of the picture's longer side.
         palm_distance: `palm_distance` of both hands, infinite for a hand that is alone.
-        second: (2, 2) of LEFT and RIGHT, the second pose networks' log-odds and mean score of the joints; NaN where
-            they did not look.
     """
 
     source: np.ndarray
@@ -122,7 +120,6 @@ class LastLook:
     joints: np.ndarray
     size: np.ndarray
     palm_distance: float = math.inf
-    second: np.ndarray = field(default_factory=lambda: np.full((2, 2), np.nan))
 
 
 def assign_handedness(evidence: Evidence, config: DecisionConfig) -> Assignment:
@@ -197,9 +194,8 @@ def last_features(look: LastLook) -> np.ndarray:
     """Features of every last answer: sums over the hands that are kept, and of the pair.
 
     Of a hand: 1 ("hand"); the log-odds of the first decision; PoseNet2D's log-odds and the joints' score in the last
-    view; the logarithm of its size; 1 if it is on the other side than HandSegNet says; and where the second pose
-    networks looked, 1 ("second"), their log-odds and their joints' score. Of the pair: 1 ("both"), and how near each
-    other they are.
+    view; the logarithm of its size; 1 if it is on the other side than HandSegNet says. Of the pair: 1 ("both"), and how
+    near each other they are.
 
     Returns:
         (4, F) in the order of `KEPT` and `LAST_FEATURES`; NaN for an answer that cannot be.
@@ -217,10 +213,6 @@ def last_features(look: LastLook) -> np.ndarray:
             features["joints"] += look.joints[side] - _USUAL_SCORE
             features["size"] += _log_size(look.size[side])
             features["swapped"] += float(look.source[side] != side)
-            if np.isfinite(look.second[side]).all():
-                features["second"] += 1.0
-                features["second_pose"] += _limited(look.second[side, 0])
-                features["second_joints"] += look.second[side, 1] - _USUAL_SCORE
         if len(hands) == 2:
             features["both"], features["both_near"] = 1.0, _nearness(look.palm_distance)
         row[:] = weight_vector(features, LAST_FEATURES)
