@@ -6,6 +6,7 @@ A picture that the shipped weights do not manage is marked as known to fail; onc
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -86,21 +87,9 @@ def test_a_labelled_hand(fast, shared, position):
     assert is_right(judged(fast, known, sample.source, shared))
 
 
-@pytest.mark.parametrize(
-    "preset",
-    [
-        "fast",
-        pytest.param(
-            "accurate",
-            marks=pytest.mark.xfail(
-                strict=False,
-                reason="in the balance: with the same weights, processors see one hand or both, 7 to 32 px off",
-            ),
-        ),
-    ],
-)
-def test_the_official_sample(shared, preset):
-    """No worse than the checked-in floors: both hands, their joints and their ranges."""
+@cache
+def official_worse(shared, preset):
+    """Figures of the official sample that are worse than the checked-in floors."""
     part = pictures.official(shared)
     predictions = run_part(OurWeights(HandEstimator.from_preset(preset, threads=1), preset), part, keep_masks=False)
     figures = official_figures(part, predictions, pictures.score_people(shared))
@@ -108,8 +97,24 @@ def test_the_official_sample(shared, preset):
     assert floors, "benchmarks/figures.json has no figure of the official sample"
     if figures["official.both"].value > floors["official.both"]:  # errors are of the worse hand, of one before
         floors = {"official.both": floors["official.both"]}
-    worse = {key: figures[key].value for key, limit in floors.items() if not reaches(KINDS[key], figures[key], limit)}
-    assert worse == {}
+    return {key: figures[key].value for key, limit in floors.items() if not reaches(KINDS[key], figures[key], limit)}
+
+
+@pytest.mark.parametrize("preset", ["fast", "accurate"])
+def test_no_fewer_hands_of_the_official_sample(shared, preset):
+    assert "official.both" not in official_worse(shared, preset)
+
+
+IN_THE_BALANCE_OFFICIAL = "with the same weights, processors see one hand or both, 7 to 32 px off"
+
+
+@pytest.mark.parametrize(
+    "preset",
+    ["fast", pytest.param("accurate", marks=pytest.mark.xfail(strict=False, reason=IN_THE_BALANCE_OFFICIAL))],
+)
+def test_the_official_sample(shared, preset):
+    """No worse than the checked-in floors: both hands, their joints and their ranges."""
+    assert official_worse(shared, preset) == {}
 
 
 def test_references_are_hands_of_the_pictures(shared):
