@@ -271,10 +271,11 @@ def deciding(estimator: HandEstimator) -> HandEstimator:
 
 
 def judged_by(own: HandEstimator, judge: HandEstimator) -> HandEstimator:
-    """Candidates of one preset, seen by the pose networks of another."""
+    """Candidates and second pose networks of one preset, the first ones of another."""
     pose = ("name", "crop_size", "crop_kind", "crop_margin", "heatmap_decode", "background", "hand_logit", "cues")
     card = replace(own.card, **{name: getattr(judge.card, name) for name in pose})
-    return HandEstimator(replace(judge.networks, hand_seg_net=own.networks.hand_seg_net), card)
+    networks = replace(judge.networks, hand_seg_net=own.networks.hand_seg_net, second=own.networks.second)
+    return HandEstimator(networks, card)
 
 
 def seen(estimator: HandEstimator, sample: HandSample, kind: str, scene: int, earlier: int) -> Seen:

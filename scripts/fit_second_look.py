@@ -21,7 +21,6 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -29,8 +28,7 @@ import cv2
 import numpy as np
 from scipy.optimize import minimize
 from scipy.special import expit
-from scripts.fit_handedness import FOLDS, add_picture_options, planned, true_side
-from scripts.fit_handedness import judged_by as candidates_judged_by
+from scripts.fit_handedness import FOLDS, add_picture_options, judged_by, planned, true_side
 
 from twohands.errors import InputError, TwoHandsError
 from twohands.geometry.boxes import box_from_points
@@ -88,12 +86,6 @@ def main() -> int:
         print(f"error: {error}", file=sys.stderr)
         return 2
     return 0
-
-
-def judged_by(own: HandEstimator, judge: HandEstimator) -> HandEstimator:
-    """Candidates and second pose networks of one preset, the first ones of another."""
-    judged = candidates_judged_by(own, judge)
-    return HandEstimator(replace(judged.networks, second=own.networks.second), judged.card)
 
 
 def hands_seen(estimator: HandEstimator, sample: HandSample, kind: str, scene: int) -> list[Both]:

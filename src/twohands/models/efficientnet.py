@@ -183,7 +183,7 @@ class PretrainedEncoderDecoder(nn.Module):
             if name.endswith("branch.1.1.weight"):  # of the last normalisation
                 nn.init.zeros_(parameter)
         self.palm_skip = nn.ModuleList()
-        for level, here in zip(PalmEncoder.channels[::-1], sizes if palm else (), strict=False):
+        for level, here in zip(PalmEncoder.channels[:0:-1], sizes, strict=True) if palm else ():
             self.palm_skip.append(conv_bn_relu(level, here, 1, relu=False))
             nn.init.zeros_(cast(nn.BatchNorm2d, self.palm_skip[-1][1]).weight)  # type: ignore[index]
         self.skip, self.lateral, self.up = nn.ModuleList(), nn.ModuleList(), nn.ModuleList()
@@ -203,9 +203,9 @@ class PretrainedEncoderDecoder(nn.Module):
 
     def decode(self, encoded: list[Tensor], palm: list[Tensor] | None = None) -> Tensor:
         """What `encode` gave, and the encoder that knows palms, to (B, outputs, H / 4, W / 4)."""
-        more = [] if palm is None else [skip(level) for skip, level in zip(self.palm_skip, palm[::-1], strict=False)]
         levels = [self.bottom(encoded[-1]), *(skip(x) for skip, x in zip(self.skip, encoded[-2:0:-1], strict=True))]
-        levels = [level + also for level, also in zip(levels, more, strict=True)] if more else levels
+        if palm is not None:
+            levels = [x + skip(also) for x, skip, also in zip(levels, self.palm_skip, palm[:0:-1], strict=True)]
         x = self.context(levels[0])
         for level, lateral, layer in zip(levels[1:], self.lateral, self.up, strict=True):
             x = nn.functional.interpolate(lateral(x), scale_factor=2.0, mode="nearest")

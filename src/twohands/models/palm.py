@@ -131,7 +131,7 @@ class PalmEncoder(nn.Module):
         parts = list(self.modules())
         norms = {a: b for a, b in itertools.pairwise(parts) if isinstance(b, nn.BatchNorm2d)}
         layers = [(part, norms.get(part)) for part in parts if isinstance(part, nn.Conv2d)]
-        slopes = [part for part in self.modules() if isinstance(part, nn.PReLU)]
+        slopes = [part for part in parts if isinstance(part, nn.PReLU)]
         try:
             fill_layers(layers, stored)
             for part, values in zip(slopes, read_slopes(file), strict=True):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -51,9 +51,8 @@ def build_stage(config: TrainConfig, weights: Sequence[Path] = (), *, require_we
     for path in weights:
         filled |= _fill(known, path)
     for name, network in known.items():
-        encoders = {"encoder"} if name in filled else set()
-        encoders |= {"palm"} if getattr(filled.get(name), "palm", False) else set()
-        prepare_encoders(network, config, known=encoders if require_weights else {"encoder", "palm"})
+        prepare_encoder(network, config, fresh=require_weights and name not in filled)
+        prepare_palm(network, config, fresh=require_weights and not getattr(filled.get(name), "palm", False))
     if require_weights and config.stage == "pose_net_3d" and "pose_net_2d" not in filled:
         raise InputError("stage pose_net_3d needs the weights of a trained pose_net_2d (--weights FILE)")
     if config.optim.frozen_norm:
@@ -63,36 +62,41 @@ def build_stage(config: TrainConfig, weights: Sequence[Path] = (), *, require_we
     return stage
 
 
-def prepare_encoders(network: nn.Module, config: TrainConfig, *, known: Set[str]) -> None:
-    """Make encoders that others have trained ready to learn, in place, or one that knows palms to stay as it is;
-    nothing where a network has none.
+def prepare_encoder(network: nn.Module, config: TrainConfig, *, fresh: bool) -> None:
+    """Make an encoder that others have trained ready to learn, in place; nothing where a network has none.
 
     Args:
         network: of the run.
         config: the run.
-        known: which of "encoder" and "palm" have weights: those of the others are random so far, and replaced by the
-            published ones.
+        fresh: whether its weights are random so far: then they are replaced by the published ones.
 
     Raises:
         InputError: their file is not named.
         MissingExtraError: the published weights are not installed.
         CheckpointError: they are not what is expected.
     """
-    encoder, palm = encoder_of(network), palm_encoder_of(network)
+    encoder = encoder_of(network)
     if encoder is None or not config.pretrained:
         return
-    if palm is not None:
-        if "palm" not in known:
-            palm.fill(config.encoder)
-        freeze_batch_norm(palm)
-        palm.requires_grad_(False)
-    if "encoder" not in known:
+    if fresh:
         load_published(encoder, config.encoder)
     freeze_batch_norm(encoder)
     frozen = config.optim.frozen_levels
     last = LEVELS[frozen - 1] if frozen else -1
     for part in (encoder.stem, *encoder.stages[: last + 1]) if frozen else ():
         part.requires_grad_(False)
+
+
+def prepare_palm(network: nn.Module, config: TrainConfig, *, fresh: bool) -> None:
+    """Let an encoder that knows palms stay as it is, in place; nothing where a network has none. Arguments and errors
+    as of `prepare_encoder`."""
+    palm = palm_encoder_of(network)
+    if palm is None or not config.pretrained:
+        return
+    if fresh:
+        palm.fill(config.encoder)
+    freeze_batch_norm(palm)
+    palm.requires_grad_(False)
 
 
 def _fill(known: Mapping[str, nn.Module], path: Path) -> dict[str, Any]:
