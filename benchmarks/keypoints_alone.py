@@ -32,10 +32,11 @@ from benchmarks import real_pictures
 from benchmarks.real_pictures import SHARED, Part
 
 from twohands.errors import TwoHandsError
-from twohands.geometry.boxes import apply_homography
+from twohands.geometry.boxes import apply_homography, box_from_points, near_picture
 from twohands.inference.detection import HandFinder
 from twohands.inference.engine import load_networks
 from twohands.inference.estimator import HandEstimator
+from twohands.inference.keypoints import in_sight
 from twohands.inference.stages import StageTruth
 from twohands.inference.weights import DEFAULT_PRESET, preset_folder, read_card
 from twohands.models.checkpoint import load_network
@@ -88,13 +89,12 @@ def crops_of(sample: HandSample, hands: list, estimator: HandEstimator) -> Itera
         hands: joints (21, 2) of the left and the right hand in pixels, None for one that is not known.
         estimator: whose HandSegNet gives the masks and whose card says how crops are cut.
     """
-    size_px = np.array(sample.image.shape[1::-1])
     boxes, present = np.full((2, 4), np.nan), np.zeros(2, bool)
     for side, joints in enumerate(hands):
         if joints is not None:
-            low, high = (np.clip(f(np.asarray(joints, float), axis=0), 0, size_px) for f in (np.min, np.max))
-            present[side] = (high - low).min() >= SMALLEST_PX
-            boxes[side] = [*low, *high] if present[side] else np.nan
+            present[side] = in_sight(np.asarray([joints], float), sample.image.shape[:2], SMALLEST_PX)[0]
+            if present[side]:
+                boxes[side] = box_from_points(near_picture(np.asarray(joints, float), *sample.image.shape[1::-1]))
     if not present.any():
         return
     masks, found = estimator.segment(sample.image, StageTruth(boxes_px=boxes, present=present))

@@ -12,6 +12,7 @@ from twohands.geometry.boxes import (
     box_from_points,
     box_in_picture,
     box_iou,
+    continued_box,
     image_from_rolled,
     perspective_crop,
     points_from_crops,
@@ -357,3 +358,17 @@ def test_box_before_a_rolled_camera_is_that_of_what_the_upright_picture_shows():
     np.testing.assert_allclose(rolled_box(points, (400, 600), from_rolled, valid), [100, 200, 330, 240])
     upright = image_from_rolled(camera, np.eye(3))
     np.testing.assert_allclose(rolled_box(points, (400, 600), upright), box_in_picture(points, 600, 400))
+
+
+@pytest.mark.parametrize(
+    ("box", "continued"),
+    [
+        ([100, 100, 140, 180], [100, 100, 140, 180]),  # inside
+        ([100, 320, 140, 400], [100, 320, 140, 440]),  # half of the 80 pixels, below
+        ([3, 320, 83, 397], [-37, 320, 83, 437]),  # two edges; within six pixels, a hundredth of 600, touches
+        ([7, 100, 87, 140], [7, 100, 87, 140]),
+        ([0, 100, 600, 200], [-300, 100, 900, 200]),
+    ],
+)
+def test_a_box_is_continued_beyond_the_edges_that_it_touches(box, continued):
+    np.testing.assert_array_equal(continued_box(np.array(box, float), 600, 400), continued)

@@ -178,13 +178,42 @@ def test_only_a_hand_far_from_its_box_is_looked_at_again():
 
 
 def test_small_or_outlying_joints_keep_the_box_of_before():
-    before = np.array([[10.0, 10, 60, 60], [20, 20, 70, 80], [5, 5, 50, 50]])
-    joints_px = np.full((3, 21, 2), 30.0)
-    joints_px[0, 4], joints_px[0, 8] = (25, -40), (90, 55)  # clipped to the picture
+    before = np.array([[10.0, 10, 60, 60], [20, 20, 70, 80], [5, 5, 50, 50], [0, 0, 9, 9]])
+    joints_px = np.full((4, 21, 2), 30.0)
+    joints_px[0, 4], joints_px[0, 8] = (25, -40), (90, 55)  # beyond the picture's edge
     joints_px[1, 4] = (37.9, 60)  # 7.9 pixels wide
     joints_px[2] += 200  # all outside
+    joints_px[3, 4], joints_px[3, 8] = (25, -40), (900, 55)  # no farther beyond the edge than the 55 pixels of the box
     boxes = joint_boxes(joints_px, (96, 80), before, 8.0)
-    np.testing.assert_array_equal(boxes, [[25, 0, 80, 55], before[1], before[2]])
+    np.testing.assert_array_equal(boxes, [[25, -40, 90, 55], before[1], before[2], [25, -40, 135, 55]])
+
+
+def lowered(sample: HandSample, pixels: int) -> HandSample:
+    """A picture that shows the same hands so many pixels lower."""
+    labels, joints_px = np.zeros_like(sample.labels), sample.joints_px + np.array([0, pixels])
+    labels[pixels:] = sample.labels[:-pixels]
+    camera = dataclasses.replace(sample.camera, cy=sample.camera.cy + pixels)
+    return dataclasses.replace(sample, labels=labels, joints_px=joints_px, camera=camera)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_joints_beyond_the_edge_are_looked_for_there_and_the_box_in_the_results_ends_at_it(seed):
+    """Named case: crops ended at the picture's edge, so that the fingers of hands cut by it were squeezed into what was
+    left (a third of the hands in the clips of signing people)."""
+    sample = drawn_hands(seed)
+    low = int(sample.joints_px[..., 1].max(axis=1).argmax())
+    height = sample.camera.height
+    sample = lowered(sample, height - int(np.median(sample.joints_px[low, :, 1])))
+    oracle = Oracle(sample, make_card())
+    estimator = restaged(
+        oracle.estimator,
+        locate=lambda crops: (oracle.true_maps(crops), np.full(len(crops), 9.0)),
+        lift=lambda keypoints: oracle.canonical[keypoints.sides],
+    )
+    hand = estimator.estimate(sample.image, sample.camera, HAND_LENGTH_M).hands[low]
+    np.testing.assert_allclose(hand.joints_px, sample.joints_px[low], atol=0.5)
+    assert hand.joints_px[:, 1].max() > height and hand.box_px[3] == height
+    np.testing.assert_allclose(hand.joints_m, sample.joints_m[low], atol=2e-3)
 
 
 def test_true_presence_overrules_a_low_score_but_the_box_is_still_estimated():
@@ -581,13 +610,13 @@ def test_uncertain_ranges_become_likely_ones_and_the_hands_move_along_their_line
     )
 
 
-def one_hand(columns, far_joint=None):
-    """Networks that see a left hand in these columns of a picture of 240x135 and its joints in the middle of every
-    crop, but for one, which they see at the crop's right end."""
+def one_hand(columns, far_joint=None, rows=(0, 135)):
+    """Networks that see a left hand in these columns and rows of a picture of 240x135 and its joints in the middle of
+    every crop, but for one, which they see at the crop's right end."""
 
     def hand_seg_net(batch):
-        inside = np.isin(np.arange(240), np.arange(*columns))
-        logits = np.broadcast_to(np.where(inside, 6.0, -6.0), (1, 1, 135, 240))
+        inside = np.isin(np.arange(240), np.arange(*columns)) & np.isin(np.arange(135), np.arange(*rows))[:, None]
+        logits = np.where(inside, 6.0, -6.0)[None, None]
         return np.concatenate([-logits, logits, 0 * logits - 9], 1), np.concatenate([logits, 0 * logits - 9], axis=1)
 
     cells = np.stack([9 + 10 * np.linspace(0, 1, 21), 16 + 4 * np.cos(np.arange(21))], axis=-1)
@@ -611,7 +640,7 @@ def test_a_joint_seen_behind_a_wide_camera_leaves_finite_numbers_everywhere(deco
     """The crop of a hand at the edge reaches beyond 90 degrees; one bad joint must not spoil the hand, nor a run."""
     camera = PinholeCamera.from_fov(140, 240, 135)
     card = make_card(heatmap_decode=decode, tta_rolls_deg=rolls_deg)
-    estimator = HandEstimator(one_hand((140, 240), far_joint=8), card)
+    estimator = HandEstimator(one_hand((140, 236), far_joint=8, rows=(40, 100)), card)
     pose = estimator.estimate(PICTURE, camera)
     hand = pose.left
     assert hand.present and not pose.right.present
@@ -620,7 +649,7 @@ def test_a_joint_seen_behind_a_wide_camera_leaves_finite_numbers_everywhere(deco
     assert hand.valid and np.isfinite(hand.joints_m).all() and hand.range_m > 0
     assert hand.joint_scores[8] < 0.1 and hand.joint_scores[:8].min() > 0.5
     assert hand.joints_px[8, 0] > 240
-    plain = HandEstimator(one_hand((140, 240)), card).estimate(PICTURE, camera).left
+    plain = HandEstimator(one_hand((140, 236), rows=(40, 100)), card).estimate(PICTURE, camera).left
     if not rolls_deg:  # which look at the box of all joints
         np.testing.assert_array_equal(np.delete(hand.joints_px, 8, 0), np.delete(plain.joints_px, 8, 0))
     absent = np.full((2, 21, 3), np.nan)

@@ -100,6 +100,24 @@ def test_joints_outside_the_crop_do_not_count():
     assert found.weight[4] == 0 and found.joints_px[4].tolist() == [0, 0]
 
 
+@pytest.mark.parametrize("crop", [PAPER_CROP, OUR_CROP])
+def test_crops_that_reach_beyond_the_picture_teach_joints_there(crop):
+    """A hand moved along its longer side until six joints are left in the picture: all of them are in the crop, and
+    where they are; of random crops, some hold all of them and some do not."""
+    original = sample(3)
+    points, axis = original.joints_px.copy(), int(np.ptp(original.joints_px[LEFT], axis=0).argmax())
+    points[LEFT, :, axis] += original.image.shape[1 - axis] - np.sort(points[LEFT, :, axis])[6]
+    lowered = dataclasses.replace(original, joints_px=points, labels=None)
+    beyond = dataclasses.replace(crop, beyond=1.0, margin=1.2, min_joints=1)
+    whole = target(lowered, LEFT, 128, beyond)
+    assert whole.weight.tolist() == [1.0] * 21
+    back = apply_homography(whole.image_from_crop.astype(float), whole.joints_px.astype(float))
+    np.testing.assert_allclose(back, points[LEFT], atol=1e-3)
+    assert target(lowered, LEFT, 128, dataclasses.replace(beyond, beyond=0.0)).weight.sum() < 21
+    drawn = [target(lowered, LEFT, 128, beyond, rng=np.random.default_rng(i)).weight.sum() for i in range(30)]
+    assert 0 < sum(count == 21 for count in drawn) < 30
+
+
 def test_jitter_moves_the_crop_within_its_limits():
     camera, box = sample().camera, np.array([60.0, 40.0, 100.0, 60.0])
     config = CropConfig(shift=0.1, smallest=0.8, largest=1.25)
@@ -138,6 +156,8 @@ def test_the_sample_is_not_changed():
 def test_bad_crops_are_refused():
     with pytest.raises(InputError, match="round"):
         CropConfig("round")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"beyond must lie in 0..1, got -0.1"):
+        CropConfig(beyond=-0.1)
     with pytest.raises(InputError, match=r"upright must lie in 0..1, got 1.5"):
         CropConfig(upright=1.5)
     with pytest.raises(InputError, match="smallest <= largest"):

@@ -26,6 +26,13 @@ _LEAST_DEPTH: Final = 0.1
 the distance from it to the crop's centre: beyond that plane there are no pixels."""
 
 
+_TOUCHING: Final = 0.01
+"""A box that ends this near an edge, as a share of the picture's longer side, touches it: about a cell of HandSegNet's
+masks."""
+_CONTINUED: Final = 0.5
+"""How far, as a share of its longer side (docs/history/journal.md, *Hands that leave the picture*)."""
+
+
 def box_from_points(points_px: Array, valid: Array | None = None) -> Array:
     """Tight box around points.
 
@@ -58,6 +65,39 @@ def box_in_picture(points_px: Array, width: int, height: int) -> Array:
     xp, box = float_arrays(box_from_points(points_px))
     corner = xp.stack([xp.full_like(box[..., 0], size) for size in (width, height, width, height)], axis=-1)
     return xp.minimum(xp.maximum(box, xp.zeros_like(box)), corner)
+
+
+def continued_box(box_px: NDArray[np.float64], width: int, height: int) -> NDArray[np.float64]:
+    """The box of what a picture shows of a hand, continued beyond the edges that it touches: there may be more of it.
+
+    Args:
+        box_px: (4,) u0, v0, u1, v1 in pixels.
+        width, height: of the picture.
+
+    Returns:
+        (4,) moved out at those edges by `_CONTINUED` of its longer side; the same box if it touches none.
+    """
+    low, high = box_px[:2], box_px[2:]
+    picture = np.array([width, height], np.float64)
+    touched = np.stack([np.abs(low), np.abs(high - picture)]) <= _TOUCHING * picture.max()  # [which end, axis]
+    before, behind = touched * (_CONTINUED * (high - low).max())
+    return np.concatenate([low - before, high + behind])
+
+
+def near_picture(points_px: NDArray[np.float64], width: int, height: int) -> NDArray[np.float64]:
+    """Points of hands, moved towards the picture where they lie farther beyond its edge than the part in the picture is
+    long: of a hand of which so little can be seen nobody can tell where it ends.
+
+    Args:
+        points_px: (..., N, 2) pixels.
+        width, height: of the picture.
+
+    Returns:
+        (..., N, 2) pixels; NaN where none of a hand's points are finite.
+    """
+    box = np.asarray(box_in_picture(points_px, width, height))
+    reach = (box[..., 2:] - box[..., :2]).max(axis=-1)[..., None, None]
+    return np.minimum(np.maximum(points_px, -reach), np.array([width, height]) + reach)
 
 
 def inside_picture(points_px: NDArray[Any], width: int, height: int) -> NDArray[np.bool_]:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from twohands.geometry.boxes import box_iou, ellipse_in, upright_roll_deg
+from twohands.geometry.boxes import box_in_picture, box_iou, continued_box, ellipse_in, upright_roll_deg
 from twohands.geometry.segmentation import UNCERTAIN, HandBoxes, as_one_hand, box_evidence, probability
 from twohands.inference.handedness import (
     Assignment,
@@ -90,9 +90,9 @@ class HandFinder:
         self, masks: np.ndarray, boxes_px: np.ndarray, sides: np.ndarray, *, estimated: bool = True, pair: int = 0
     ) -> list[HandCrop]:
         """Crops of the given sides' boxes, boxes_px (2, 4), for a pair of pose networks; only estimated boxes may be
-        made smaller (`cuttable`)."""
+        continued beyond the picture's edge (`continued_box`) or made smaller (`cuttable`)."""
         stages = self.stages.of_pair(pair)
-        chosen = [cuttable(stages.card, box, self.camera) if estimated else box for box in boxes_px[sides]]
+        chosen = [self._to_cut(stages.card, box) if estimated else box for box in boxes_px[sides]]
         hands = zip(chosen, sides, strict=True)
         return [stages.crop(self.image, masks, box, int(side), self.camera) for box, side in hands]
 
@@ -105,6 +105,13 @@ class HandFinder:
             crops: B of them.
         """
         return self._uprighted(masks, boxes_px, self.stages.keypoints(crops))
+
+    def _to_cut(self, card: WeightsCard, box_px: np.ndarray) -> np.ndarray:
+        """What is cut out of the picture for an estimated box (4,)."""
+        return cuttable(card, self._continued(box_px), self.camera)
+
+    def _continued(self, box_px: np.ndarray) -> np.ndarray:
+        return continued_box(box_px, self.size[1], self.size[0])
 
     def seen_better(
         self, found: Detection, boxes_px: np.ndarray, joints_px: np.ndarray | None = None, *, recrop: bool = True
@@ -197,7 +204,8 @@ class HandFinder:
         for row in again:
             side, stages = keypoints.crops[row].side, self.stages.of_pair(keypoints.crops[row].pair)
             roll_deg = float(upright_roll_deg(keypoints.joints_px[row]))
-            box_px = rolled_hand_box(stages.card, ellipse_in(boxes_px[side]), self.size, self.camera, roll_deg)
+            around_px = ellipse_in(self._continued(boxes_px[side]))
+            box_px = rolled_hand_box(stages.card, around_px, self.size, self.camera, roll_deg)
             crops.append(stages.crop(self.image, masks, box_px, side, self.camera, roll_deg))
         return keypoints.replaced(again, self.stages.keypoints(crops))
 
@@ -293,20 +301,23 @@ class HandFinder:
         return viewer.agreed(*viewer.turned(found.keypoints, canonical))
 
     def joint_boxed(self, boxes: HandBoxes, keypoints: Keypoints) -> HandBoxes:
-        """The boxes of the hands' joints; as they are where there is nothing to see."""
+        """The boxes of the hands' joints, also beyond the picture's edge; as they are where there is nothing to see."""
         boxes_px, smallest_px = boxes.boxes_px.copy(), self.card.views.smallest_box_px
         sides = keypoints.sides
-        boxes_px[sides] = joint_boxes(keypoints.joints_px, self.size, boxes_px[sides], smallest_px)
+        boxes_px[sides] = joint_boxes(keypoints.placed_px, self.size, boxes_px[sides], smallest_px)
         return replace(boxes, boxes_px=boxes_px)
+
+    def in_picture(self, boxes: HandBoxes) -> HandBoxes:
+        """The boxes cut to the picture."""
+        height, width = self.size
+        return replace(boxes, boxes_px=np.asarray(box_in_picture(boxes.boxes_px.reshape(2, 2, 2), width, height)))
 
     def _merged(self, found: Detection) -> Keypoints:
         """Both candidates as one hand, LEFT and RIGHT."""
         crops = []
         for side in (LEFT, RIGHT):
             masks, box_px = as_one_hand(found.masks, found.boxes.boxes_px, side)
-            crops.append(
-                self.stages.crop(self.image, masks, cuttable(self.card, box_px, self.camera), side, self.camera)
-            )
+            crops.append(self.stages.crop(self.image, masks, self._to_cut(self.card, box_px), side, self.camera))
         return self.stages.keypoints(crops)
 
     def _answered(self, found: Detection, source: np.ndarray, scores: np.ndarray) -> tuple[np.ndarray, HandBoxes]:

@@ -158,4 +158,4 @@ class HandEstimator:
         if estimated:
             refined = refine(self.card.placement, canonical, keypoints, finder.camera, lengths_m, placed)
             canonical, placed, sigmas_m = refined
-        return hand_poses(boxes, keypoints, canonical, placed, found.side_logits, sigmas_m)
+        return hand_poses(finder.in_picture(boxes), keypoints, canonical, placed, found.side_logits, sigmas_m)

@@ -14,13 +14,15 @@ import numpy as np
 
 from twohands.geometry import heatmaps as codec
 from twohands.geometry.boxes import (
+    apply_homography,
     box_before_camera,
+    box_from_points,
     box_in_picture,
     image_from_rolled,
     mirrored_columns,
+    near_picture,
     perspective_crop,
     points_from_crops,
-    rolled_box,
     square_crop,
 )
 from twohands.geometry.composition import compose_hand_input
@@ -60,6 +62,12 @@ class Keypoints:
     def pairs(self) -> np.ndarray:
         """(B,) the pair of pose networks that saw every crop."""
         return np.array([crop.pair for crop in self.crops], int)
+
+    @property
+    def placed_px(self) -> np.ndarray:
+        """(B, 21, 2) joints; NaN for one that was seen where there is no pixel (`read_out`), which says nothing of
+        where the hand ends."""
+        return np.where(self.joint_scores[..., None] > 0, self.joints_px, np.nan)
 
     def rows(self, chosen: Sequence[int] | np.ndarray) -> Keypoints:
         """Some of the crops."""
@@ -145,11 +153,13 @@ def cuttable(card: WeightsCard, box_px: np.ndarray, camera: PinholeCamera) -> np
 
 
 def rolled_hand_box(
-    card: WeightsCard, joints_px: np.ndarray, image_size: tuple[int, int], camera: PinholeCamera, roll_deg: float
+    card: WeightsCard, points_px: np.ndarray, image_size: tuple[int, int], camera: PinholeCamera, roll_deg: float
 ) -> np.ndarray:
-    """Box (4,) for `crop_hand` of joints (21, 2), in pixels of a picture of size (H, W), as a rolled camera sees it."""
-    from_rolled = image_from_rolled(camera, rotation_about_z(math.radians(roll_deg)))
-    return cuttable(card, rolled_box(joints_px, image_size, from_rolled), camera)
+    """Box (4,) for `crop_hand` of a hand's points (N, 2), those beyond the edge (`near_picture`) of a picture of size
+    (H, W) included, as a rolled camera sees it."""
+    rolled_from = np.linalg.inv(image_from_rolled(camera, rotation_about_z(math.radians(roll_deg))))
+    points_px = near_picture(points_px, image_size[1], image_size[0])
+    return cuttable(card, np.asarray(box_from_points(apply_homography(rolled_from, points_px))), camera)
 
 
 def mirror_crop(crop: HandCrop) -> HandCrop:
@@ -205,7 +215,7 @@ def read_joints(maps: np.ndarray, decoder: str) -> tuple[np.ndarray, np.ndarray]
 def joint_boxes(
     joints_px: np.ndarray, image_size: tuple[int, int], otherwise_px: np.ndarray, smallest_px: float
 ) -> np.ndarray:
-    """Tight boxes of hands' joints within the picture.
+    """Tight boxes of hands' joints, those beyond the picture's edge (`near_picture`) included.
 
     Args:
         joints_px: (B, 21, 2) pixels.
@@ -216,14 +226,12 @@ def joint_boxes(
     Returns:
         (B, 4) u0, v0, u1, v1.
     """
-    boxes_px = np.asarray(box_in_picture(joints_px, image_size[1], image_size[0]))
-    return np.where(_large(boxes_px, smallest_px)[:, None], boxes_px, otherwise_px)
+    seen = in_sight(joints_px, image_size, smallest_px)
+    boxes_px = np.asarray(box_from_points(near_picture(joints_px, image_size[1], image_size[0])))
+    return np.where(seen[:, None], boxes_px, otherwise_px)
 
 
 def in_sight(joints_px: np.ndarray, image_size: tuple[int, int], smallest_px: float) -> np.ndarray:
     """(B,) bool: whether the joints (B, 21, 2) of a hand span `smallest_px` or more of a picture of size (H, W)."""
-    return _large(np.asarray(box_in_picture(joints_px, image_size[1], image_size[0])), smallest_px)
-
-
-def _large(boxes_px: np.ndarray, smallest_px: float) -> np.ndarray:
-    return (boxes_px[:, 2:] - boxes_px[:, :2]).min(axis=1) >= smallest_px
+    boxes_px = np.asarray(box_in_picture(joints_px, image_size[1], image_size[0]))
+    return np.asarray((boxes_px[:, 2:] - boxes_px[:, :2]).min(axis=1) >= smallest_px)

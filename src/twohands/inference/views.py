@@ -102,16 +102,16 @@ class HandViewer:
         return replace(keypoints, joints_px=joints_px, joint_scores=joint_scores), mean_pose
 
     def _in_sight(self, keypoints: Keypoints) -> np.ndarray:
-        return in_sight(keypoints.joints_px, self.image.shape[:2], self.card.views.smallest_box_px)
+        return in_sight(keypoints.placed_px, self.image.shape[:2], self.card.views.smallest_box_px)
 
     def _rolled(self, first: Keypoints, further_deg: float) -> tuple[Keypoints, np.ndarray]:
         """Keypoints of B hands and their canonical poses (B, 21, 3) in the camera of the picture, as cameras see them
         that are rolled so far further than those that saw them first."""
         crops, size = [], (self.image.shape[0], self.image.shape[1])
-        for joints_px, crop in zip(first.joints_px, first.crops, strict=True):
+        for placed_px, crop in zip(first.placed_px, first.crops, strict=True):
             roll_deg = crop.roll_deg + further_deg
             own = self.stages.of_pair(crop.pair)
-            box_px = rolled_hand_box(own.card, joints_px, size, self.camera, roll_deg)
+            box_px = rolled_hand_box(own.card, placed_px, size, self.camera, roll_deg)
             crops.append(own.crop(self.image, self.masks, box_px, crop.side, self.camera, roll_deg))
         again = self.stages.keypoints(crops)
         return again, lifted(self.stages, again, self.camera)

@@ -11,6 +11,8 @@ import numpy as np
 from twohands.errors import InputError
 from twohands.geometry.boxes import (
     apply_homography,
+    box_before_camera,
+    box_from_points,
     box_iou,
     ellipse_in,
     image_from_rolled,
@@ -57,6 +59,9 @@ class CropConfig:
     roll: float = 0.0
     """Training: half of the crops are as a camera sees them that is rolled about its line of sight, by at most so many
     degrees."""
+    beyond: float = 0.0
+    """Training: largest share of what a hand has beyond the picture's edge that its box holds; without random changes
+    it is this share. At 0 boxes end at the edge, as those of masks do, and joints far beyond it are not learnt."""
     upright: float = 0.0
     """Training: so large a share of the crops is as a camera sees them that is rolled so that the fingers point up, but
     for an error (`UPRIGHT_ERROR_DEG`)."""
@@ -72,10 +77,9 @@ class CropConfig:
             raise InputError(f"crop: kind must be square or perspective, got {self.kind!r}")
         if not 0 <= self.roll <= 180:
             raise InputError(f"crop: roll must lie in 0..180 degrees, got {self.roll}")
-        if not 0 <= self.upright <= 1:
-            raise InputError(f"crop: upright must lie in 0..1, got {self.upright}")
-        if not 0 <= self.background <= 1:
-            raise InputError(f"crop: background must lie in 0..1, got {self.background}")
+        for name in ("beyond", "upright", "background"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise InputError(f"crop: {name} must lie in 0..1, got {getattr(self, name)}")
         if not (self.margin > 0 and self.shift >= 0 and 0 < self.smallest <= self.largest):
             raise InputError(
                 f"crop: need margin > 0, shift >= 0, 0 < smallest <= largest, got {self.margin}, {self.shift}, "
@@ -144,6 +148,7 @@ def crop_matrix(
         box = np.concatenate([centre - half, centre + half])
     if config.kind == "square":
         return np.asarray(square_crop(box, size=size, side=side, margin=config.margin))
+    box = box_before_camera(box, camera)
     return np.asarray(perspective_crop(box, camera, size=size, side=side, margin=config.margin))
 
 
@@ -191,6 +196,8 @@ def pose_target(
     seen = rolled_box(joints_px, (height, width), unrolled, known)
     if min(seen[2:] - seen[:2]) < 2:
         return None
+    if crop.beyond:
+        seen = _reaching_beyond(seen, joints_px[known], unrolled, crop, rng)
     overlap = 0.0 if predicted is None else box_iou(box, predicted.boxes_px[side])
     if predicted is not None and overlap > LEAST_OVERLAP and not shows_other_hand(sample, side, predicted):
         seen = _like(seen, box, predicted.boxes_px[side], unrolled)
@@ -239,6 +246,20 @@ def _rolled_camera(
         return random_roll(crop.roll, rng)
     roll_deg = float(upright_roll_deg(joints_px)) + rng.normal(0, UPRIGHT_ERROR_DEG)
     return rotation_about_z(math.radians(roll_deg))
+
+
+def _reaching_beyond(
+    seen: np.ndarray,
+    joints_px: np.ndarray,
+    unrolled: np.ndarray,
+    crop: CropConfig,
+    rng: np.random.Generator | None,
+) -> np.ndarray:
+    """A hand's box (4,) as the rolled camera sees it, `seen` of its part in the picture, with some of what its joints
+    (K, 2) have beyond the picture's edge."""
+    whole = np.asarray(box_from_points(apply_homography(np.linalg.inv(unrolled), joints_px)))
+    share = crop.beyond if rng is None else rng.uniform(0, crop.beyond)
+    return (1 - share) * seen + share * whole
 
 
 def _is_upright(crop: CropConfig, rng: np.random.Generator | None) -> bool:
