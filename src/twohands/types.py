@@ -206,8 +206,8 @@ class HandPose:
     Attributes:
         present: whether the hand was found.
         score: confidence of presence, 0..1.
-        box_px: (4,) u0, v0, u1, v1 in pixels.
-        joints_px: (21, 2) pixels.
+        box_px: (4,) u0, v0, u1, v1 in pixels, within the picture.
+        joints_px: (21, 2) pixels; of a hand that the picture's edge cuts also beyond it.
         joint_scores: (21,) 0..1.
         canonical: (21, 3) unitless, root at 0, |wrist - root| = 1 (to about 1 % in an estimate), centred frame.
         joints_m: (21, 3) camera frame, metres; None if the projection is not valid.

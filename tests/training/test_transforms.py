@@ -7,7 +7,7 @@ import pytest
 
 from twohands.errors import InputError
 from twohands.skeleton import LEFT, RIGHT
-from twohands.training.transforms import MaskConfig, PhotometricConfig, jitter_colours, spoil_masks
+from twohands.training.transforms import MaskConfig, PhotometricConfig, in_two_tones, jitter_colours, spoil_masks
 
 IMAGE = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)
 GREY = np.full((48, 64, 3), 100, np.uint8)
@@ -67,6 +67,20 @@ def test_noise_has_the_asked_size():
 def test_blur_lowers_detail():
     outcomes = [jitter_colours(IMAGE, PhotometricConfig(blur=2.0), np.random.default_rng(s)).std() for s in range(10)]
     assert min(outcomes) < 0.6 * IMAGE.std() and max(outcomes) == IMAGE.std()
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_one_of_two_hands_has_another_colour_and_nothing_else_has(seed):
+    picture, (classes, _) = np.full((128, 128, 3), 100, np.uint8), hands()
+    changed = (in_two_tones(picture, classes, np.random.default_rng(seed)) != 100).any(axis=-1)
+    assert any(np.array_equal(changed, classes == hand) for hand in (1, 2))
+    assert (picture == 100).all()
+
+
+def test_a_hand_alone_keeps_its_colour():
+    classes = np.where(hands()[0] == 1, 1, 0).astype(np.uint8)
+    picture = np.full((128, 128, 3), 100, np.uint8)
+    np.testing.assert_array_equal(in_two_tones(picture, classes, np.random.default_rng(0)), picture)
 
 
 def test_arm_is_cut_and_nothing_else():

@@ -132,6 +132,7 @@ def segmentation_batch(samples: Sequence[HandSample], config: TrainConfig, rngs:
             net.width_px,
             photometric=augment.photometric,
             zoom=augment.zoom,
+            two_tones=augment.two_tones,
             rng=rngs[i] if rngs else None,
         )
         for i, sample in enumerate(samples)

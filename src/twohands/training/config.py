@@ -109,6 +109,8 @@ class AugmentConfig:
     handless: float = 0.0
     """Share of pictures cut to a part without a hand, mostly of the person whose hands they are: arms, shoulders, faces
     alone are none."""
+    two_tones: float = 0.0
+    """Share of pictures of both hands in which one has another colour than the other (segmentation stage)."""
     mirrored: float = 0.0
     """Share of crops shown mirrored, as hands of the wrong side (pose stages with a judge)."""
     united: float = 0.0

@@ -12,7 +12,7 @@ from twohands.geometry.boxes import box_in_picture, inside_picture
 from twohands.geometry.network_input import LETTERBOX_GREY, letterbox
 from twohands.geometry.part_labels import hand_classes
 from twohands.training.hand_views import boxes_inside, hand_points, kept_inside, random_roll
-from twohands.training.transforms import PhotometricConfig, jitter_colours, nearest_cells
+from twohands.training.transforms import PhotometricConfig, in_two_tones, jitter_colours, nearest_cells
 from twohands.types import HandSample
 
 OUTSIDE = 3
@@ -76,6 +76,7 @@ def segmentation_target(
     *,
     photometric: PhotometricConfig | None = None,
     zoom: ZoomConfig | None = None,
+    two_tones: float = 0.0,
     rng: np.random.Generator | None = None,
 ) -> SegmentationTarget:
     """What HandSegNet sees and should answer for one picture.
@@ -84,6 +85,7 @@ def segmentation_target(
         sample: must carry part labels.
         height, width: network size.
         photometric, zoom: training changes, used only with `rng`.
+        two_tones: `AugmentConfig.two_tones`, the same.
         rng: source of randomness; None leaves the picture as it is.
 
     Raises:
@@ -109,6 +111,8 @@ def segmentation_target(
     if rng is not None:
         if zoom is not None:
             image, classes, points, inside = _zoomed(image, classes, points, inside, zoom, rng)
+        if two_tones and rng.random() < two_tones:
+            image = in_two_tones(image, classes, rng)
         if photometric is not None:
             image = jitter_colours(image, photometric, rng)
     border = classes == OUTSIDE

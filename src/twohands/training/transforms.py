@@ -115,6 +115,25 @@ def jitter_colours(image: np.ndarray, config: PhotometricConfig, rng: np.random.
     return out
 
 
+def in_two_tones(image: np.ndarray, classes: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """One of two hands, arm and all, darker or lighter and in another hue than the other: lit otherwise, or, as in
+    Ego3DHands, simply so.
+
+    Args:
+        image: (H, W, 3) uint8 RGB.
+        classes: (H, W) uint8, 0 background, 1 left, 2 right.
+        rng: source of randomness.
+
+    Returns:
+        (H, W, 3) uint8, a new array; of a picture that does not show both hands, as it is.
+    """
+    if not all((classes == hand).any() for hand in (1, 2)):
+        return image.copy()
+    gain = 2.0 ** (rng.normal(0, 0.6) + rng.normal(0, 0.2, 3))
+    table = np.clip(np.arange(256)[:, None] * gain, 0, 255).round().astype(np.uint8)
+    return np.where((classes == rng.integers(1, 3))[..., None], cv2.LUT(image, table[None]), image)
+
+
 def spoil_masks(classes: np.ndarray, arm: np.ndarray, side: int, config: MaskConfig, rng: np.random.Generator):
     """Class masks of a crop as a segmentation network might have predicted them.
 
