@@ -29,7 +29,7 @@ the distance from it to the crop's centre: beyond that plane there are no pixels
 _TOUCHING: Final = 0.01
 """A box that ends this near an edge, as a share of the picture's longer side, touches it: about a cell of HandSegNet's
 masks."""
-_CONTINUED: Final = 0.5
+_CONTINUED: Final = 0.2
 """How far, as a share of its longer side (docs/history/journal.md, *Hands that leave the picture*)."""
 
 

@@ -23,7 +23,7 @@ from twohands.inference.handedness import (
     rescore,
 )
 from twohands.inference.keypoints import Keypoints, cuttable, in_sight, joint_boxes, mirror_crop, rolled_hand_box
-from twohands.inference.second_look import doubted, knows_better
+from twohands.inference.second_look import MOST_ASTRAY, doubted, knows_better, on_other_hand
 from twohands.inference.side_decision import assign_in_clip
 from twohands.inference.side_keeping import NOTHING_KNOWN
 from twohands.inference.stages import Stages
@@ -118,7 +118,8 @@ class HandFinder:
     ) -> Detection:
         """Hands that the first pose networks doubt, seen by the second ones as well: their joints count where they know
         a hand better, and their boxes are those where they were looked for. Which hands are there, and whose, stays
-        what the first ones said. Of two hands whose boxes overlap the second ones would see the nearer one twice.
+        what the first ones said. Of a hand that is seen where the mask of the other one is (`MOST_ASTRAY`) they would
+        see the nearer one twice.
 
         Args:
             found: hands that are decided.
@@ -129,9 +130,8 @@ class HandFinder:
         first, config = found.keypoints, self.card.decision
         if self.stages.second is None or not config.second:
             return found
-        if len(first.sides) == 2 and box_iou(*found.boxes.boxes_px) > 0:
-            return found
-        rows = np.flatnonzero(doubted(first, self.card.views.second_below_score))
+        alone = on_other_hand(first, found.masks, self.size) <= MOST_ASTRAY
+        rows = np.flatnonzero(alone & doubted(first, self.card.views.second_below_score))
         if not len(rows):
             return found
         sides = first.sides[rows]

@@ -60,8 +60,10 @@ class CropConfig:
     """Training: half of the crops are as a camera sees them that is rolled about its line of sight, by at most so many
     degrees."""
     beyond: float = 0.0
-    """Training: largest share of what a hand has beyond the picture's edge that its box holds; without random changes
-    it is this share. At 0 boxes end at the edge, as those of masks do, and joints far beyond it are not learnt."""
+    """Training: how far the boxes of hands that the picture's edge cuts reach beyond it: half of them at most so large
+    a share of the way to the hand's end, as those of joints that were found; the others at most so large a share of
+    their longer side, as those of masks. Without random changes it is this share of the way. At 0 boxes end at the
+    edge, and joints far beyond it are not learnt."""
     upright: float = 0.0
     """Training: so large a share of the crops is as a camera sees them that is rolled so that the fingers point up, but
     for an error (`UPRIGHT_ERROR_DEG`)."""
@@ -197,7 +199,7 @@ def pose_target(
     if min(seen[2:] - seen[:2]) < 2:
         return None
     if crop.beyond:
-        seen = _reaching_beyond(seen, joints_px[known], unrolled, crop, rng)
+        seen = _reaching_beyond(seen, joints_px[known], unrolled, (height, width), crop, rng)
     overlap = 0.0 if predicted is None else box_iou(box, predicted.boxes_px[side])
     if predicted is not None and overlap > LEAST_OVERLAP and not shows_other_hand(sample, side, predicted):
         seen = _like(seen, box, predicted.boxes_px[side], unrolled)
@@ -252,13 +254,18 @@ def _reaching_beyond(
     seen: np.ndarray,
     joints_px: np.ndarray,
     unrolled: np.ndarray,
+    size: tuple[int, int],
     crop: CropConfig,
     rng: np.random.Generator | None,
 ) -> np.ndarray:
-    """A hand's box (4,) as the rolled camera sees it, `seen` of its part in the picture, with some of what its joints
-    (K, 2) have beyond the picture's edge."""
-    whole = np.asarray(box_from_points(apply_homography(np.linalg.inv(unrolled), joints_px)))
+    """A hand's box (4,) as the rolled camera sees it, `seen` of its part in the picture of size (H, W), with some of
+    what is beyond the edges that its joints (K, 2) cross."""
     share = crop.beyond if rng is None else rng.uniform(0, crop.beyond)
+    end = joints_px
+    if rng is not None and rng.random() < 0.5:  # wherever the hand ends
+        inside = np.clip(joints_px, 0, size[::-1])
+        end = inside + np.sign(joints_px - inside) * np.ptp(inside, axis=0).max()
+    whole = np.asarray(box_from_points(apply_homography(np.linalg.inv(unrolled), end)))
     return (1 - share) * seen + share * whole
 
 
