@@ -364,10 +364,10 @@ def test_box_before_a_rolled_camera_is_that_of_what_the_upright_picture_shows():
     ("box", "continued"),
     [
         ([100, 100, 140, 180], [100, 100, 140, 180]),  # inside
-        ([100, 320, 140, 400], [100, 320, 140, 440]),  # half of the 80 pixels, below
-        ([3, 320, 83, 397], [-37, 320, 83, 437]),  # two edges; within six pixels, a hundredth of 600, touches
+        ([100, 320, 140, 400], [100, 320, 140, 416]),  # a fifth of the 80 pixels, below
+        ([3, 320, 83, 397], [-13, 320, 83, 413]),  # two edges; within six pixels, a hundredth of 600, touches
         ([7, 100, 87, 140], [7, 100, 87, 140]),
-        ([0, 100, 600, 200], [-300, 100, 900, 200]),
+        ([0, 100, 600, 200], [-120, 100, 720, 200]),
     ],
 )
 def test_a_box_is_continued_beyond_the_edges_that_it_touches(box, continued):
