@@ -115,7 +115,7 @@ def test_what_was_assumed_comes_on_top(sources, share):
 def test_the_spread_of_lengths_is_that_of_the_generator_s_adults():
     asset = load_asset()
     lengths = np.array([asset.body(each).hand_length_m for each in asset.coefficients[::8]])
-    assert math.sqrt(np.mean(np.log(lengths / 0.10) ** 2)) == pytest.approx(ASSUMED_LENGTH_SPREAD, abs=0.03)
+    assert np.quantile(np.abs(lengths / 0.10 - 1), 0.683) == pytest.approx(ASSUMED_LENGTH_SPREAD, abs=0.01)
 
 
 def test_the_spread_of_typed_lengths_is_that_of_the_generator_s_adults():
