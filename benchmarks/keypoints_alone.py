@@ -32,11 +32,11 @@ from benchmarks import real_pictures
 from benchmarks.real_pictures import SHARED, Part
 
 from twohands.errors import TwoHandsError
-from twohands.geometry.boxes import apply_homography, box_from_points, near_picture
+from twohands.geometry.boxes import apply_homography
 from twohands.inference.detection import HandFinder
 from twohands.inference.engine import load_networks
 from twohands.inference.estimator import HandEstimator
-from twohands.inference.keypoints import in_sight
+from twohands.inference.keypoints import joint_boxes
 from twohands.inference.stages import StageTruth
 from twohands.inference.weights import DEFAULT_PRESET, preset_folder, read_card
 from twohands.models.checkpoint import load_network
@@ -89,24 +89,23 @@ def crops_of(sample: HandSample, hands: list, estimator: HandEstimator) -> Itera
         hands: joints (21, 2) of the left and the right hand in pixels, None for one that is not known.
         estimator: whose HandSegNet gives the masks and whose card says how crops are cut.
     """
-    boxes, present = np.full((2, 4), np.nan), np.zeros(2, bool)
+    joints_px = np.full((2, N_JOINTS, 2), np.nan)
     for side, joints in enumerate(hands):
         if joints is not None:
-            present[side] = in_sight(np.asarray([joints], float), sample.image.shape[:2], SMALLEST_PX)[0]
-            if present[side]:
-                boxes[side] = box_from_points(near_picture(np.asarray(joints, float), *sample.image.shape[1::-1]))
+            joints_px[side] = joints
+    boxes = joint_boxes(joints_px, sample.image.shape[:2], np.full((2, 4), np.nan), SMALLEST_PX)
+    present = np.isfinite(boxes).all(axis=1)
     if not present.any():
         return
     masks, found = estimator.segment(sample.image, StageTruth(boxes_px=boxes, present=present))
     finder = HandFinder(estimator.stages, estimator.card, sample.image, sample.camera)
     sides = np.flatnonzero(present)
     if estimator.card.views.upright:
-        joints_px = np.array([hands[side] for side in sides], float)
-        crops = finder.joint_crops(masks, found.boxes_px, joints_px, sides, np.zeros(len(sides), int))
+        crops = finder.joint_crops(masks, found.boxes_px, joints_px[sides], sides, np.zeros(len(sides), int))
     else:
         crops = finder.crops(masks, found.boxes_px, sides, estimated=False)
     for crop in crops:
-        yield KnownCrop(crop, np.asarray(hands[crop.side], float))
+        yield KnownCrop(crop, joints_px[crop.side])
 
 
 @torch.no_grad()

@@ -30,7 +30,8 @@ _TOUCHING: Final = 0.01
 """A box that ends this near an edge, as a share of the picture's longer side, touches it: about a cell of HandSegNet's
 masks."""
 _CONTINUED: Final = 0.2
-"""How far, as a share of its longer side (docs/history/journal.md, *Hands that leave the picture*)."""
+"""How far such a box is continued there, as a share of its longer side (docs/history/journal.md, *Hands that leave the
+picture*)."""
 
 
 def box_from_points(points_px: Array, valid: Array | None = None) -> Array:
@@ -93,7 +94,7 @@ def near_picture(points_px: NDArray[np.float64], width: int, height: int) -> NDA
         width, height: of the picture.
 
     Returns:
-        (..., N, 2) pixels; NaN where none of a hand's points are finite.
+        (..., N, 2) pixels; NaN where a point is, and for all points of a hand none of which is finite.
     """
     box = np.asarray(box_in_picture(points_px, width, height))
     reach = (box[..., 2:] - box[..., :2]).max(axis=-1)[..., None, None]

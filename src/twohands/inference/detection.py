@@ -130,8 +130,8 @@ class HandFinder:
         first, config = found.keypoints, self.card.decision
         if self.stages.second is None or not config.second:
             return found
-        alone = on_other_hand(first, found.masks, self.size) <= MOST_ASTRAY
-        rows = np.flatnonzero(alone & doubted(first, self.card.views.second_below_score))
+        rows = np.flatnonzero(doubted(first, self.card.views.second_below_score))
+        rows = rows[on_other_hand(first.rows(rows), found.masks, self.size) <= MOST_ASTRAY]
         if not len(rows):
             return found
         sides = first.sides[rows]
