@@ -64,8 +64,8 @@ def box_in_picture(points_px: Array, width: int, height: int) -> Array:
         (..., 4) u0, v0, u1, v1 in pixels, 0..width and 0..height; NaN where no point is left.
     """
     xp, box = float_arrays(box_from_points(points_px))
-    corner = xp.stack([xp.full_like(box[..., 0], size) for size in (width, height, width, height)], axis=-1)
-    return xp.minimum(xp.maximum(box, xp.zeros_like(box)), corner)
+    corner = xp.asarray([width, height, width, height], dtype=box.dtype, device=box.device)
+    return xp.minimum(xp.maximum(box, xp.zeros_like(corner)), corner)
 
 
 def continued_box(box_px: NDArray[np.float64], width: int, height: int) -> NDArray[np.float64]:

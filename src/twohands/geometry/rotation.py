@@ -65,14 +65,15 @@ def rotation_from_angles(theta: Array, phi: Array) -> Array:
     Source: paper Eq. 1; docs/conventions.md. Written for the axis order (x, y, z); the paper's is (row, column, depth).
     """
     xp, theta, phi = float_arrays(theta, phi)
+    theta, phi = xp.broadcast_arrays(theta, phi)
     with np.errstate(invalid="ignore"):  # an infinite angle has no rotation: NaN
         cos_t, sin_t, cos_p, sin_p = xp.cos(theta), xp.sin(theta), xp.cos(phi), xp.sin(phi)
     rows = (
-        (cos_p, -sin_p * sin_t, -sin_p * cos_t),
-        (xp.zeros_like(cos_p), cos_t, -sin_t),
-        (sin_p, cos_p * sin_t, cos_p * cos_t),
+        *(cos_p, -sin_p * sin_t, -sin_p * cos_t),
+        *(xp.zeros_like(cos_p), cos_t, -sin_t),
+        *(sin_p, cos_p * sin_t, cos_p * cos_t),
     )
-    return xp.stack([xp.stack(xp.broadcast_arrays(*row), axis=-1) for row in rows], axis=-2)
+    return xp.reshape(xp.stack(rows, axis=-1), (*cos_p.shape, 3, 3))
 
 
 def rotation_about_z(angle: float) -> NDArray[np.float64]:
