@@ -107,7 +107,8 @@ def test_small_weights_answer_nearly_like_the_trained_ones(name, preset, network
 def test_hand_seg_net_takes_pictures_of_any_size(preset):
     rng = np.random.default_rng(0)
     stored = load_network("hand_seg_net", preset[0] / "hand_seg_net.onnx")
-    network = OpenVinoNetwork(preset[0] / "hand_seg_net.onnx", input_channels=3, output_channels=(3, 2))
+    file, ports = preset[0] / "hand_seg_net.onnx", {"input_channels": 3, "output_channels": (3, 2)}
+    network = OpenVinoNetwork(file, **ports, any_size=True)
     for size in ((64, 96), (128, 96), (64, 192), (64, 96)):
         inputs = rng.uniform(-0.5, 0.5, (1, 3, *size)).astype(np.float32)
         wanted = answer("hand_seg_net", stored, inputs)

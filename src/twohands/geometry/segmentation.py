@@ -92,10 +92,11 @@ def masks_from_logits(
     for hand in 1 + np.flatnonzero(present):  # one class after the other: np.argmax over all takes six times as long
         cv2.resize(np.asarray(logits[hand] - logits[0], np.float32), (width, height), dst=lead)
         leads = cv2.compare(lead, largest, cv2.CMP_GT)  # 255 where it does: all bits
-        cv2.max(masks, leads & np.uint8(hand), dst=masks)
+        cv2.max(masks, np.bitwise_and(leads, np.uint8(hand)), dst=masks)
         cv2.max(largest, lead, dst=largest)
-    perhaps = cv2.compare(masks, 0, cv2.CMP_GT) & cv2.compare(largest, 0, cv2.CMP_LE)
-    return masks + (perhaps & np.uint8(UNCERTAIN))
+    perhaps = np.asarray((masks > 0) & (largest <= 0), np.uint8)
+    masks += UNCERTAIN * perhaps
+    return masks
 
 
 def certain_masks(masks: np.ndarray) -> np.ndarray:

@@ -5,8 +5,6 @@ The estimator knows only `Networks`: three callables. A test, or another runtime
 
 from __future__ import annotations
 
-import functools
-import threading
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -66,8 +64,6 @@ class Networks:
 class OpenVinoNetwork:
     """One ONNX file, compiled for the CPU, called like a function, from as many threads as one likes.
 
-    For pictures of another size than the file's it is compiled again when the first of them comes.
-
     The arithmetic is int8 where the peaks of the activations are known, else float32, also where the processor has
     units for bfloat16: hands that are in the balance would be found on one machine and not on another.
 
@@ -76,6 +72,8 @@ class OpenVinoNetwork:
         input_channels: the channel count that this role in the pipeline feeds.
         output_channels: second dimension of each output that this role promises.
         threads: CPU threads; 0 leaves OpenVINO's choice.
+        any_size: whether it is given pictures of any size, whatever the file says. It is slower by a fiftieth then, and
+            the first picture of another form is no delay.
         int8_peaks: peaks of its activations (`inference.int8`); none for floating point.
 
     Raises:
@@ -89,6 +87,7 @@ class OpenVinoNetwork:
         input_channels: int,
         output_channels: tuple[int, ...],
         threads: int = 0,
+        any_size: bool = False,
         int8_peaks: Mapping[str, float] = NO_PEAKS,
     ) -> None:
         core = open_core()
@@ -104,19 +103,15 @@ class OpenVinoNetwork:
                 f"found {found_in} in and {found_out} out"
             )
         quantise(model, int8_peaks)
-        self._model = model
-        self._compile = functools.partial(
-            core.compile_model,
-            device_name="CPU",
-            config={
-                "PERFORMANCE_HINT": "LATENCY",
-                "INFERENCE_NUM_THREADS": threads,
-                "INFERENCE_PRECISION_HINT": "f32",  # bfloat16 where there is AMX sees other hands than elsewhere
-            },
-        )
-        self._network = self._compile(model)
-        self._lock = threading.Lock()
-        self._by_size = {_size(model.inputs[0]): (self._network, deque())}
+        if any_size:
+            model.reshape([-1, input_channels, -1, -1])
+        config = {
+            "PERFORMANCE_HINT": "LATENCY",
+            "INFERENCE_NUM_THREADS": threads,
+            "INFERENCE_PRECISION_HINT": "f32",  # bfloat16 where there is AMX sees other hands than elsewhere
+        }
+        self._network = core.compile_model(model, "CPU", config)
+        self._idle: deque[Any] = deque()  # requests that no thread is using
 
     def __call__(self, batch: np.ndarray) -> tuple[np.ndarray, ...]:
         """Run the network.
@@ -127,24 +122,14 @@ class OpenVinoNetwork:
         Returns:
             Every output, in the order of the file.
         """
-        network, idle = self._for_size(batch.shape)
         try:
-            request = idle.pop()
+            request = self._idle.pop()
         except IndexError:
-            request = network.create_infer_request()
+            request = self._network.create_infer_request()
         result = request.infer([np.ascontiguousarray(batch, dtype=np.float32)], share_inputs=True)
-        outputs = tuple(result[port] for port in network.outputs)  # copies, so that the request can serve the next call
-        idle.append(request)
+        outputs = tuple(result[port] for port in self._network.outputs)  # copies: the request serves the next call
+        self._idle.append(request)
         return outputs
-
-    def _for_size(self, shape: tuple[int, ...]) -> tuple[Any, deque[Any]]:
-        """The network compiled for a size, and its requests that no thread is using."""
-        with self._lock:
-            if shape[2:] not in self._by_size:
-                model = self._model.clone()
-                model.reshape([-1, *shape[1:]])
-                self._by_size[shape[2:]] = (self._compile(model), deque())
-            return self._by_size[shape[2:]]
 
     @property
     def threads(self) -> int:
@@ -179,6 +164,7 @@ def load_networks(folder: Path, card: WeightsCard, threads: int = 0) -> Networks
             input_channels=inputs,
             output_channels=outputs,
             threads=threads,
+            any_size=name == "hand_seg_net",
             int8_peaks=card.int8.get(name, NO_PEAKS),
         )
 
@@ -215,12 +201,6 @@ def _pose_functions(
         return heatmaps, judged[0][:, 0] if judged else np.zeros(len(batch), np.float32)
 
     return pose_net_2d, lambda batch: pose_3d(batch)[0]
-
-
-def _size(port: Any) -> tuple[int, ...]:
-    """Rows and columns of a network's input; empty where they are free."""
-    _, _, *size = port.get_partial_shape()
-    return () if any(n.is_dynamic for n in size) else tuple(n.get_length() for n in size)
 
 
 def _channels(port: object) -> int | None:
