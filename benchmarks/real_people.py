@@ -480,20 +480,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = args.only or (QUICK_PARTS if args.quick else PARTS)
     generated = {name: getattr(args, name) for name in GENERATED}
     parts = parts_of(chosen, args.shared, quick=args.quick, generated=generated)
-    times: dict[str, Measured] = {}
     if not args.score_only:
         for system, name in zip(args.systems, names, strict=True):
             estimator = HandEstimator.from_preset(system, args.threads)
             make_predictions(args.out, OurWeights(estimator, name), parts)
-            if args.today:
-                times[name] = Measured(time_ratio(system, args.today, threads=args.threads), 1)
         if args.mediapipe_python:
             make_predictions(args.out, MediaPipe(args.mediapipe_python), parts)
     if (args.out / "predictions" / MEDIAPIPE).is_dir():
         names.append(MEDIAPIPE)
     figures = score(args.out, names, parts, args.shared)
-    for name, measured in times.items():
-        figures[name][TIME] = measured
+    if args.today:
+        for system, name in zip(args.systems, names, strict=False):  # but MediaPipe
+            figures[name][TIME] = Measured(time_ratio(system, args.today, threads=args.threads), 1)
     text = page(figures)
     print(text)
     write_file(args.out / "real_people.md", f"{text}\n".encode())

@@ -98,7 +98,7 @@ def found(
 
 
 def cells(hands: Sequence[Known], camera: PinholeCamera, length_m: float, draws: int) -> Iterator[str]:
-    """Of one row, behind its name: median errors of ranges as shares.
+    """Of one row, behind its name: median errors of ranges as shares, over all draws and the hands of other pictures.
 
     Raises:
         InputError: too few hands were found.
@@ -107,7 +107,8 @@ def cells(hands: Sequence[Known], camera: PinholeCamera, length_m: float, draws:
     if len(set(pictures)) < 6:
         raise InputError("hands of six pictures or more are needed, five of which are drawn")
     estimates = [known.hand for known in hands]
-    shares = [_median_share(ranges(estimates, camera, length_m * wrong), true_m) for wrong in LENGTHS]
+    before = [np.abs(ranges(estimates, camera, length_m * wrong) / true_m - 1) for wrong in LENGTHS]
+    shares = [np.nanmedian(errors) for errors in before]
     low, high = (f"{100 * share:.0f}" for share in sorted(shares))
     yield f"{low} %" if low == high else f"{low} to {high} %"
     for count, spread in ((1, FOCAL_SPREAD), (5, FOCAL_SPREAD), (5, 0.0)):
@@ -118,12 +119,8 @@ def cells(hands: Sequence[Known], camera: PinholeCamera, length_m: float, draws:
             fit = fit_tape([estimates[i] for i in drawn], camera, true_m[drawn], wrong_m, focal_spread=spread)
             others = np.flatnonzero(~np.isin(pictures, pictures[drawn]))
             placed_m = ranges([estimates[i] for i in others], zoomed(camera, fit.focal_scale), fit.hand_length_m)
-            errors.append(_median_share(placed_m, true_m[others]))
-        yield f"{100 * np.mean(errors):.1f} %"
-
-
-def _median_share(ranges_m: np.ndarray, true_m: np.ndarray) -> float:
-    return float(np.nanmedian(np.abs(ranges_m / true_m - 1)))
+            errors.append(np.abs(placed_m / true_m[others] - 1))
+        yield f"{100 * np.nanmedian(np.concatenate(errors)):.1f} %"
 
 
 if __name__ == "__main__":
