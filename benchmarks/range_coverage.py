@@ -22,12 +22,11 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from benchmarks.documents import insert
 from benchmarks.real_hands import read_ge2019, typical_hand_length_m, with_anatomical_joints
 
-from twohands.cli.output import write_file
 from twohands.datasets.opening import open_dataset
 from twohands.errors import InputError, TwoHandsError
-from twohands.evaluation.results import inserted
 from twohands.evaluation.summary import markdown_table
 from twohands.formats.profiles import ScaleSource
 from twohands.geometry.anatomy import HAND_LENGTH
@@ -117,8 +116,7 @@ def main() -> int:
         table = "\n".join(markdown_table([list(COLUMNS), *(row.cells() for row in rows(estimator, options))]))
         print(table)
         if options.insert is not None:
-            document = options.insert.read_text(encoding="utf-8")
-            write_file(options.insert, inserted(document, table, MARKER).encode())
+            insert(options.insert, table, MARKER)
     except (TwoHandsError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

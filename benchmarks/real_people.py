@@ -27,6 +27,7 @@ from typing import Any
 
 import numpy as np
 from benchmarks import real_pictures as pictures
+from benchmarks.documents import insert
 from benchmarks.real_pictures import SHARED, Part
 from benchmarks.real_scores import PALM, SCORES, Figures, Measured
 from benchmarks.real_sheets import write_sheets
@@ -35,7 +36,6 @@ from benchmarks.real_systems import MEDIAPIPE, MediaPipe, OurWeights, Segment, S
 from twohands.cli.output import write_file
 from twohands.errors import DataFormatError, InputError, TwoHandsError
 from twohands.evaluation.predictions import load_predictions, save_predictions
-from twohands.evaluation.results import inserted
 from twohands.evaluation.summary import markdown_table
 from twohands.inference.estimator import HandEstimator
 from twohands.inference.weights import DEFAULT_PRESET
@@ -490,8 +490,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         names.append(MEDIAPIPE)
     figures = score(args.out, names, parts, args.shared)
     if args.today:
-        for system, name in zip(args.systems, names, strict=False):  # but MediaPipe
-            figures[name][TIME] = Measured(time_ratio(system, args.today, threads=args.threads), 1)
+        for system in args.systems:
+            figures[heading(system)][TIME] = Measured(time_ratio(system, args.today, threads=args.threads), 1)
     text = page(figures)
     print(text)
     write_file(args.out / "real_people.md", f"{text}\n".encode())
@@ -499,9 +499,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if args.sheets != "none":
         _write_all_sheets(args.out, names, parts, args.shared, everything=args.sheets == "all")
     for path in args.insert or ():
-        _insert(path, text)
+        insert(path, text, MARKER)
     for path in args.insert_short or ():
-        _insert(path, short_table(figures))
+        insert(path, short_table(figures), MARKER)
     if args.accept:
         _accept(figures)
     return _check(figures) if args.check else 0
@@ -518,14 +518,6 @@ def _write_all_sheets(
                 folder = out / "sheets" / name
                 count = len(write_sheets(folder, part, load_predictions(path), tool, everything=everything))
                 _say(f"{count} sheets of {part.name} written to {folder}")
-
-
-def _insert(path: Path, text: str) -> None:
-    try:
-        document = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
-    write_file(path, inserted(document, text, MARKER).encode())
 
 
 def _accept(figures: Mapping[str, Figures]) -> None:

@@ -16,12 +16,11 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
+from benchmarks.documents import insert
 
 from twohands.calibration.tape import FOCAL_SPREAD, fit_tape, ranges, zoomed
-from twohands.cli.output import write_file
 from twohands.datasets.opening import open_dataset
 from twohands.errors import InputError, TwoHandsError
-from twohands.evaluation.results import inserted
 from twohands.evaluation.summary import markdown_table
 from twohands.inference.estimator import HandEstimator
 from twohands.inference.weights import DEFAULT_PRESET
@@ -63,8 +62,7 @@ def main() -> int:
         table = "\n".join(markdown_table(rows))
         print(table)
         if options.insert is not None:
-            document = options.insert.read_text(encoding="utf-8")
-            write_file(options.insert, inserted(document, table, MARKER).encode())
+            insert(options.insert, table, MARKER)
     except (TwoHandsError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

@@ -257,15 +257,15 @@ class RangeFilter:
     def _refuses(self, time: float, radius_m: float) -> bool:
         """Whether a radius is an outlier to the queue."""
         spare = len(self._queue) - self.smoothing.degree - 1
-        if len(self._queue) < _FEWEST or spare < _SPARE_FOR_SCALE:
+        if spare < _SPARE_FOR_SCALE:
             return False
         times, radii = self.times, self.radii_m
         at = np.append(times, time)
         weights = polynomial_weights(times, self._predicting_degree(), at, self.smoothing.fade)  # (n + 1, n)
-        *fitted, prediction = weights @ radii
+        fitted = weights @ radii
+        residuals, prediction = radii - fitted[:-1], float(fitted[-1])
         if prediction <= 0:
             return False
-        residuals = radii - fitted
         scale = _MAD_TO_SIGMA * float(np.median(np.abs(residuals))) * math.sqrt(len(radii) / spare)
         scale = max(scale, self.smoothing.scale_floor * prediction)
         spread = math.hypot(1.0, float(np.linalg.norm(weights[-1])))
