@@ -64,6 +64,7 @@ from twohands.types import HandSample, PinholeCamera
 if TYPE_CHECKING:
     from twohands.synth.backgrounds.base import Backgrounds
 
+Fitting = Callable[[Sequence["Seen"], DecisionConfig], DecisionConfig]
 RIGHTLY, WRONG_SIDE, INVENTED = 1, 2, 3
 """What a reported hand is: the true hand of its side, the other true hand, or none; 0 for one that is not reported."""
 NEAR: Final = 0.4
@@ -123,6 +124,7 @@ def main() -> int:
     parser.add_argument("--judges", nargs="*", default=[], help="weights folders or presets: see above")
     add_picture_options(parser, count=1000, digits=150, photographs=100)
     parser.add_argument("--cache", type=Path, required=True, help="file of evidence; read where it is there")
+    parser.add_argument("--keep-first", action="store_true", help="leave the card's first decision as it is")
     parser.add_argument("--dry-run", action="store_true", help="leave the card alone")
     options = parser.parse_args()
     try:
@@ -134,8 +136,9 @@ def main() -> int:
         identity = "+".join(weights_id(folder, read_card(folder)) for folder in folders)
         pictures = gathered(options, "+".join([identity, *map(views_id, folders)]))
         config = card.decision
-        summary = cross_validated(pictures, config)
-        fitted = fit(pictures, config)
+        fitting = fit_last if options.keep_first else fit
+        summary = cross_validated(pictures, config, fitting)
+        fitted = fitting(pictures, config)
         kinds = {kind: sum(one.kind == kind for one in pictures) for kind in dict.fromkeys(p.kind for p in pictures)}
         fitted = replace(fitted, fit={"weights": identity, "pictures": kinds, "penalty": PENALTY, **summary})
         if not options.dry_run:
@@ -340,6 +343,12 @@ def fit(pictures: Sequence[Seen], config: DecisionConfig) -> DecisionConfig:
     return fitted_last(known, fitted_first(known, config))
 
 
+def fit_last(pictures: Sequence[Seen], config: DecisionConfig) -> DecisionConfig:
+    """The weights of the last decision alone, likewise."""
+    alone = fitted_last([(one, None) for one in pictures], config)
+    return fitted_last(with_before(pictures, alone), config)
+
+
 def with_before(pictures: Sequence[Seen], config: DecisionConfig) -> list[tuple[Seen, Before | None]]:
     """Every picture with nothing known, and those that follow another one also with what was said of that."""
     answers = {one.earlier: answered(pictures[one.earlier], None, config) for one in pictures if one.earlier >= 0}
@@ -363,7 +372,8 @@ def answered(one: Seen, before: Before | None, config: DecisionConfig) -> tuple[
 def look_of(one: Seen, answer: int, assignment: Assignment) -> LastLook:
     """The last look at the hands of an answer."""
     pose, joints, size = np.moveaxis(one.last[answer], -1, 0)
-    return LastLook(assignment.source, assignment.logits, pose, joints, size, float(one.distance[answer]))
+    checks = one.evidence.checks(assignment.source)
+    return LastLook(assignment.source, assignment.logits, pose, joints, size, float(one.distance[answer]), checks)
 
 
 def fitted_first(known: Sequence[tuple[Seen, Before | None]], config: DecisionConfig) -> DecisionConfig:
@@ -421,7 +431,7 @@ def named(weights: np.ndarray, names: Sequence[str]) -> dict[str, float]:
     return {name: round(float(weight), 4) for name, weight in zip(names, weights, strict=True)}
 
 
-def cross_validated(pictures: Sequence[Seen], config: DecisionConfig) -> dict[str, object]:
+def cross_validated(pictures: Sequence[Seen], config: DecisionConfig, fitting: Fitting = fit) -> dict[str, object]:
     """Prints errors by kind and a reliability table, every scene by weights fitted to other scenes; a summary."""
     rows: dict[str, np.ndarray] = {}
     chances: list[tuple[float, bool]] = []
@@ -431,7 +441,7 @@ def cross_validated(pictures: Sequence[Seen], config: DecisionConfig) -> dict[st
         outside = [one for one in pictures if one.scene % FOLDS != fold]
         if not inside or not outside:
             continue
-        fitted = fit(renumbered(outside), config)
+        fitted = fitting(renumbered(outside), config)
         for one, before in with_before(renumbered(inside), fitted):
             answer, kept, logits = answered(one, before, fitted)
             outcome = np.where(kept, one.outcome[answer], 0)
@@ -522,6 +532,8 @@ ARRAYS: Final[dict[str, Callable[[Seen], object]]] = {
     "joints": lambda one: one.evidence.joints,
     "merged_pose": lambda one: _or_nan(one.evidence.merged_pose),
     "merged_joints": lambda one: _or_nan(one.evidence.merged_joints),
+    "check": lambda one: one.evidence.check,
+    "merged_check": lambda one: one.evidence.merged_check,
     "palm_distance": lambda one: one.evidence.palm_distance,
 } | {f.name: lambda one, name=f.name: getattr(one.evidence.maps, name) for f in fields(BoxEvidence)}
 """What the cache holds of every picture."""
@@ -554,7 +566,8 @@ def _picture(row: dict[str, np.ndarray]) -> Seen:
     together = (None, None) if np.isnan(row["merged_pose"]).any() else (row["merged_pose"], row["merged_joints"])
     size = int(row["image_size"][0]), int(row["image_size"][1])
     distance = float(row["palm_distance"])
-    evidence = Evidence(size, row["boxes_px"], maps, row["pose"], row["joints"], *together, distance)
+    checks = row["check"], float(row["merged_check"])
+    evidence = Evidence(size, row["boxes_px"], maps, row["pose"], row["joints"], *together, distance, None, *checks)
     numbers = row["last"], row["distance"], row["answer_boxes_px"], row["outcome"], int(row["earlier"])
     return Seen(str(row["kind"]), int(row["scene"]), row["present"], evidence, *numbers)
 

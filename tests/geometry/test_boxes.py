@@ -18,6 +18,7 @@ from twohands.geometry.boxes import (
     points_from_crops,
     rolled_box,
     square_crop,
+    upright_crop,
     upright_roll_deg,
     warp_image,
 )
@@ -73,6 +74,27 @@ def test_square_crop_by_hand():
     np.testing.assert_allclose(corners, [[300, -15], [480, -15], [300, 165], [480, 165]])
     corners = apply_homography(square_crop(BOX, size=256, side=RIGHT), CROP_CORNERS[:4])
     np.testing.assert_allclose(corners, [[480, -15], [300, -15], [480, 165], [300, 165]])
+
+
+@pytest.mark.parametrize("turned_deg", [0, 30, 90, 180, -100])
+def test_an_upright_crop_shows_the_hand_in_its_middle_with_the_fingers_up(turned_deg):
+    """Of a hand twice as long as wide, 100 pixels: with a margin of 1.5 it takes two thirds of the crop, and half of
+    that across. The picture is not mirrored."""
+    turn = np.radians(turned_deg)
+    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    upright = np.zeros((21, 2))
+    upright[ROOT], upright[1], upright[2] = [0, -60], [-20, -100], [30, -50]
+    found = upright_crop(upright @ rotation.T + [300, 200], size=96, margin=1.5)
+    shown = apply_homography(np.linalg.inv(found), upright @ rotation.T + [300, 200])
+    np.testing.assert_allclose(box_from_points(shown), [32, 16, 64, 80], atol=1e-9)
+    np.testing.assert_allclose(shown[ROOT] - shown[WRIST], [0, -38.4], atol=1e-9)
+    assert np.linalg.det(found) > 0
+
+
+def test_an_upright_crop_of_a_point_is_still_one():
+    found = upright_crop(np.full((21, 2), 7.0), size=10, margin=2.0)
+    np.testing.assert_allclose(apply_homography(found, np.array([[5.0, 5.0]])), [[7, 7]])
+    assert np.linalg.det(found) == pytest.approx(0.2**2)
 
 
 @pytest.mark.parametrize("side", [LEFT, RIGHT])

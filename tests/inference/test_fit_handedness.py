@@ -12,6 +12,7 @@ from scripts.fit_handedness import (
     counted,
     cross_validated,
     fit,
+    fit_last,
     judged_by,
     likeliest,
     load,
@@ -126,6 +127,14 @@ def test_a_fit_tells_sides_and_ghosts_and_what_it_says_is_as_often_true(capsys):
     assert "| made |" in said and "| made, next |" in said and "side changes" in said
     fitted = fit(pictures, DecisionConfig())
     assert fitted.first["pose_contrast"] + fitted.first["pose"] > 0 and fitted.last["first"] > 0
+
+
+def test_the_last_decision_alone_is_fitted_where_the_first_is_to_stay():
+    rng = np.random.default_rng(1)
+    pictures = [judged_picture(rng, scene) for scene in range(60)]
+    config = DecisionConfig(first={"pose": 0.7, "hand": -0.1})
+    fitted = fit_last(pictures, config)
+    assert fitted.first == config.first and fitted.last["first"] > 0
 
 
 def test_pictures_keep_what_came_before_them_when_some_are_left_out():

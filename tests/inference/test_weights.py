@@ -56,7 +56,10 @@ def test_the_shipped_presets_are_complete():
         if networks.second is not None:
             second = second_folder(preset_folder(name), card)
             assert networks.second.card.name == second.name == card.second and card.second not in names
-            assert [path.name for path in sorted(second.glob("*.onnx"))] == ["pose_net_2d.onnx", "pose_net_3d.onnx"]
+            files = [path.name for path in sorted(second.glob("*.onnx"))]
+            assert files == ["hand_check.onnx", "pose_net_2d.onnx", "pose_net_3d.onnx"]
+            assert networks.second.hand_check is not None
+            assert {"check", "check_passed"} <= set(card.decision.last), "HandCheck is there and has no say"
 
 
 def test_a_folder_is_taken_before_a_shipped_preset_of_its_name(tiny, tmp_path, monkeypatch):
@@ -115,6 +118,10 @@ def test_a_folder_is_taken_before_a_shipped_preset_of_its_name(tiny, tmp_path, m
         (lambda card: card.update(second="../fast"), "second must name folders beside"),
         (lambda card: card.update(networks={"hand_net": "fast"}), "networks names unknown networks, hand_net"),
         (lambda card: card.update(networks="fast"), "card: "),
+        (lambda card: card.update(hand_check={"crop_size": -1, "crop_margin": 1.4}), "hand_check needs a crop_size"),
+        (lambda card: card.update(hand_check={"crop_size": 160, "crop_margin": 0}), "hand_check needs a crop_size"),
+        (lambda card: card.update(hand_check={"crop_size": 160}), "key 'crop_margin' is missing"),
+        (lambda card: card.update(hand_check={"crop_size": 160, "crop_margin": 1.4}), "hand_check.onnx is missing"),
     ],
 )
 def test_a_bad_card_is_refused(copied, change, message):

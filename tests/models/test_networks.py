@@ -3,11 +3,13 @@
 import dataclasses
 import math
 
+import numpy as np
 import pytest
 import torch
 from torch import nn
 
 from twohands.errors import InputError
+from twohands.geometry.segmentation import resized_maps
 from twohands.models.blocks import count_blocks, fold_batch_norm, freeze_batch_norm, scaled
 from twohands.models.encoder_decoder import EncoderDecoder
 from twohands.models.hand_seg_net import HandSegNet, HandSegNetConfig
@@ -275,3 +277,16 @@ def test_frozen_batch_norm_answers_and_learns_in_training_as_in_evaluation(varia
         scale = float(gradient.abs().max())
         torch.testing.assert_close(frozen_gradients[name] / scale, gradient / scale, rtol=1e-3, atol=1e-3)
     torch.testing.assert_close(dict(net.state_dict()), state, rtol=0, atol=0)
+
+
+@pytest.mark.parametrize(("variant", "stride"), [("encoder-decoder", 2), ("efficientnet-lite0", 4)])
+def test_hand_seg_nets_maps_are_its_coarse_ones_enlarged_as_the_pipeline_does(variant, stride):
+    """OpenCV and torch enlarge alike, so that shipped networks may leave it to whoever reads them."""
+    torch.manual_seed(0)
+    network = HandSegNet(HandSegNetConfig(variant, height=64, width_px=96, width=0.25)).eval()
+    picture = torch.rand(1, 3, 64, 96)
+    with torch.no_grad():
+        whole, coarse = network(picture), network.coarse(picture)
+    for large, small in zip(whole, coarse, strict=True):
+        assert small.shape[2:] == (64 // stride, 96 // stride) and large.shape[2:] == (64, 96)
+        np.testing.assert_allclose(resized_maps(small[0].numpy(), (64, 96)), large[0].numpy(), atol=1e-5)

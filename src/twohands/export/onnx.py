@@ -22,6 +22,7 @@ from twohands.files import appearing
 from twohands.inference.int8 import WEIGHT_LEVELS, kernel_peaks
 from twohands.inference.weights import CARD_VERSION, NETWORK_INPUT, write_card
 from twohands.models.checkpoint import BYTES, HALF, SCALE, describe, load_network, read_note
+from twohands.models.hand_check import HandCheck
 from twohands.models.hand_seg_net import HandSegNet
 from twohands.models.pose_net_2d import PoseNet2D, PoseNet2DConfig
 from twohands.models.pose_net_3d import PoseNet3D
@@ -33,6 +34,19 @@ WHOLE = "_whole"
 """Ending of the name of a kernel in whole numbers, as float32."""
 SMALL_TENSOR = 1024
 """Weights with fewer values stay float32."""
+
+
+class CoarseMaps(nn.Module):
+    """HandSegNet whose maps are as large as it computes them: to enlarge them takes a fifth of its time on a CPU, and
+    whoever wants them large does it faster."""
+
+    def __init__(self, net: HandSegNet) -> None:
+        super().__init__()
+        self.net = net
+
+    def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """(B, 3, H, W) -> (B, 3, h, w) and (B, 2, h, w)."""
+        return self.net.coarse(x)
 
 
 class HeatmapNet(nn.Module):
@@ -59,9 +73,9 @@ def export_network(
     `models.checkpoint.load_network` reads the file too and training can go on from it.
 
     Args:
-        network: HandSegNet (outputs seg_logits, energy_logits), PoseNet2D (output heatmaps, as PoseNet3D consumes them,
-            and hand_logit if it judges)
-            or PoseNet3D (output canonical). Inputs are normalised, NCHW.
+        network: HandSegNet (outputs seg_logits, energy_logits, as `HandSegNet.coarse`), PoseNet2D (output heatmaps, as
+            PoseNet3D consumes them, and hand_logit if it judges), PoseNet3D (output canonical) or HandCheck (output
+            hand_logit). Inputs are normalised, NCHW.
         path: destination.
         note: as for `models.checkpoint.save_network`.
         map_size: of the heatmaps that PoseNet3D is given, side in cells.
@@ -71,7 +85,7 @@ def export_network(
     """
     if isinstance(network, HandSegNet):
         shape = (2, 3, network.config.height, network.config.width_px)
-        name, model, inputs, outputs = "hand_seg_net", network, "image", ["seg_logits", "energy_logits"]
+        name, model, inputs, outputs = "hand_seg_net", CoarseMaps(network), "image", ["seg_logits", "energy_logits"]
     elif isinstance(network, PoseNet2D):
         shape = (2, 3, network.config.crop_size, network.config.crop_size)
         name, model, inputs, outputs = "pose_net_2d", HeatmapNet(network), "crop", ["heatmaps"]
@@ -79,6 +93,9 @@ def export_network(
     elif isinstance(network, PoseNet3D):
         shape = (2, N_JOINTS + network.config.cues, map_size, map_size)
         name, model, inputs, outputs = "pose_net_3d", network, "heatmaps", ["canonical"]
+    elif isinstance(network, HandCheck):
+        shape = (2, 3, network.config.crop_size, network.config.crop_size)
+        name, model, inputs, outputs = "hand_check", network, "crop", ["hand_logit"]
     else:
         raise InputError(f"cannot export a {type(network).__name__}")
     path = Path(path)
@@ -104,7 +121,7 @@ def export_network(
     onnxscript.optimizer.fold_constants(program.model)
     onnxscript.optimizer.remove_unused_nodes(program.model)
     result = without_traces(small_weights(program.model_proto))
-    prefix = "net." if isinstance(model, HeatmapNet) else ""
+    prefix = "" if model is network else "net."
     for key, value in {**describe(name, network, note), "prefix": prefix}.items():
         result.metadata_props.add(key=key, value=value)
     with appearing(path) as partial:

@@ -233,6 +233,27 @@ def upright_roll_deg(joints_px: NDArray[np.float64]) -> NDArray[np.float64]:
     return (degrees + 180) % 360 - 180
 
 
+def upright_crop(joints_px: NDArray[np.float64], *, size: int, margin: float) -> NDArray[np.float64]:
+    """A square around a hand, turned so that the fingers point up (`upright_roll_deg`).
+
+    Args:
+        joints_px: (21, 2) pixels.
+        size: side of the crop in its own pixels.
+        margin: side of the square over the larger side of the hand's box in it.
+
+    Returns:
+        image_from_crop: (3, 3), for pixels that are not mirrored; of joints that are all in one place, one that shows
+        the pixel there.
+    """
+    turn = np.radians(-upright_roll_deg(joints_px))
+    image_from_upright = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    upright = joints_px @ image_from_upright
+    low, high = upright.min(axis=0), upright.max(axis=0)
+    scale = margin * max(float((high - low).max()), 1.0) / size
+    corner = (low + high) / 2 - scale * size / 2
+    return np.vstack([np.column_stack([scale * image_from_upright, image_from_upright @ corner]), [0.0, 0.0, 1.0]])
+
+
 def ellipse_in(box_px: NDArray[np.float64]) -> NDArray[np.float64]:
     """Points (16, 2) on the ellipse that touches the sides of a box (4,)."""
     angles = np.arange(16) * (np.pi / 8)

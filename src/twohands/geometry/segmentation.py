@@ -193,13 +193,15 @@ def mean_of_views(views: Sequence[tuple[np.ndarray, ...]]) -> tuple[np.ndarray, 
         views: of each the same maps, (C, h, w), each covering the whole picture at a resolution of its own.
     """
     size = max(view[0].shape[1:] for view in views)
+    return tuple(np.mean([resized_maps(maps, size) for maps in same], axis=0) for same in zip(*views, strict=True))
 
-    def resized(maps: np.ndarray) -> np.ndarray:
-        if maps.shape[1:] == size:
-            return maps
-        return np.stack([cv2.resize(np.ascontiguousarray(plane), size[::-1]) for plane in maps])
 
-    return tuple(np.mean([resized(maps) for maps in same], axis=0) for same in zip(*views, strict=True))
+def resized_maps(maps: np.ndarray, size: tuple[int, ...]) -> np.ndarray:
+    """Maps (C, h, w) with other cells over the same picture, (C, *size): between the old ones, by linear
+    interpolation. The same array where they are as many."""
+    if maps.shape[1:] == tuple(size):
+        return maps
+    return np.stack([cv2.resize(np.ascontiguousarray(plane), size[::-1]) for plane in maps])
 
 
 def boxes_from_energy(

@@ -111,7 +111,10 @@ FIRST_FEATURES: Final = (
     *("merged_size", "both", "both_near", "both_in_one_place", "both_overlap", "both_uncrossed", "both_weaker"),
 )
 """What the first decision weighs; `handedness.first_features` says what each is."""
-LAST_FEATURES: Final = ("hand", "first", "pose", "joints", "size", "swapped", "both", "both_near")
+LAST_FEATURES: Final = (
+    *("hand", "first", "pose", "joints", "size", "swapped", "check", "check_passed", "check_unseen"),
+    *("both", "both_near"),
+)
 """What the last decision weighs; `handedness.last_features` says what each is."""
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -32,6 +32,9 @@ from twohands.inference.views import HandViewer
 from twohands.inference.weights import WeightsCard
 from twohands.skeleton import LEFT, RIGHT
 from twohands.types import HandCrop, PinholeCamera
+
+UNCHECKED: Final = np.full(2, np.nan)
+"""`Evidence.checks` of hands at which HandCheck did not look."""
 
 
 class Detection(NamedTuple):
@@ -221,10 +224,12 @@ class HandFinder:
         assignment, side_logits = assign_in_clip(evidence, self.card.decision, known)
         assigned, changed = self.assigned(found, assignment, views)
         recropped = self.recropped(assigned._replace(side_logits=side_logits), changed)
-        return self.seen_better(self.rescored(recropped, assignment), assigned.boxes.boxes_px)
+        kept = self.rescored(recropped, assignment, evidence.checks(assignment.source))
+        return self.seen_better(kept, assigned.boxes.boxes_px)
 
     def evidence(self, found: Detection, before: Before | None) -> tuple[Evidence, CandidateViews]:
-        """What is known of HandSegNet's candidates; PoseNet2D sees them mirrored, or merged, where that may help.
+        """What is known of HandSegNet's candidates; PoseNet2D sees them mirrored, or merged, where that may help, and
+        HandCheck sees them then, too.
 
         Args:
             found: candidates with keypoints, each as the hand that HandSegNet took it for.
@@ -233,7 +238,8 @@ class HandFinder:
         rules, boxes, seen = self.card.decision, found.boxes, found.keypoints
         pose, joints = np.full((2, 2, 2), np.nan)
         alone = {(side, side): seen.rows([i]) for i, side in enumerate(seen.sides)}
-        if (seen.hand_logits < rules.mirror_below_logit).any():  # of two, both: they may have been exchanged
+        doubtful = bool((seen.hand_logits < rules.mirror_below_logit).any())
+        if doubtful:  # of two, both: they may have been exchanged
             other = self.stages.keypoints([mirror_crop(crop) for crop in seen.crops])
             alone |= {(1 - side, side): other.rows([i]) for i, side in enumerate(seen.sides)}
         for where, view in alone.items():
@@ -241,9 +247,22 @@ class HandFinder:
         distance = palm_distance(seen.joints_px, boxes.boxes_px) if len(seen.sides) == 2 else math.inf
         merged = self._merged(found) if box_iou(*boxes.boxes_px) >= rules.same_place_iou else None
         together = (None, None) if merged is None else (merged.hand_logits, merged.joint_scores.mean(axis=-1))
+        doubtful = doubtful or merged is not None
+        checks = self._checked(seen, merged) if doubtful else np.full(3, np.nan)
         maps = boxes.evidence or box_evidence(np.zeros((2, 1, 1)), np.zeros((3, 1, 1)), np.full((2, 4), np.nan), (1, 1))
-        known = Evidence(self.size, boxes.boxes_px, maps, pose, joints, *together, distance, before)
+        said = {"check": checks[:2], "merged_check": float(checks[2])}
+        known = Evidence(self.size, boxes.boxes_px, maps, pose, joints, *together, distance, before, **said)
         return known, CandidateViews(alone, merged)
+
+    def _checked(self, seen: Keypoints, merged: Keypoints | None) -> np.ndarray:
+        """(3,) HandCheck's log-odds that candidates 0 and 1 are hands, and both as the one for which they rather pass;
+        NaN for what there is not."""
+        said = np.full(3, np.nan)
+        if self.stages.check is not None:
+            views = [seen] if merged is None else [seen, merged.rows([int(np.argmax(merged.hand_logits))])]
+            rows = [*seen.sides, 2][: len(seen.sides) + len(views) - 1]
+            said[rows] = self.stages.check(self.image, np.concatenate([view.joints_px for view in views]))
+        return said
 
     def assigned(self, found: Detection, assignment: Assignment, views: CandidateViews) -> tuple[Detection, np.ndarray]:
         """The hands that an assignment makes of candidates, with HandSegNet's scores for absent ones; and (B,) bool,
@@ -273,18 +292,18 @@ class HandFinder:
             boxes = self.joint_boxed(found.boxes, keypoints)
         return found._replace(boxes=boxes, keypoints=keypoints)
 
-    def last_look(self, found: Detection, assignment: Assignment) -> LastLook:
-        """What is known of an assignment's hands after the last view of them."""
+    def last_look(self, found: Detection, assignment: Assignment, checks: np.ndarray = UNCHECKED) -> LastLook:
+        """What is known of an assignment's hands after the last view of them; checks (2,) are `Evidence.checks`."""
         last, sides = found.keypoints, found.keypoints.sides
         pose, joints, size = np.full((3, 2), np.nan)
         pose[sides], joints[sides] = last.hand_logits, last.joint_scores.mean(axis=-1)
         size[sides] = box_sizes(found.boxes.boxes_px[sides], self.size)
         distance = palm_distance(last.joints_px, found.boxes.boxes_px[sides]) if len(sides) == 2 else math.inf
-        return LastLook(assignment.source, assignment.logits, pose, joints, size, distance)
+        return LastLook(assignment.source, assignment.logits, pose, joints, size, distance, checks)
 
-    def rescored(self, found: Detection, assignment: Assignment) -> Detection:
-        """The hands that are still ones after the last view of them."""
-        kept, logits = rescore(self.last_look(found, assignment), self.card.decision)
+    def rescored(self, found: Detection, assignment: Assignment, checks: np.ndarray = UNCHECKED) -> Detection:
+        """The hands that are still ones after the last view of them; arguments as of `last_look`."""
+        kept, logits = rescore(self.last_look(found, assignment, checks), self.card.decision)
         sides = found.keypoints.sides
         scores = found.boxes.scores.copy()
         scores[sides] = probability(logits[sides])

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
@@ -17,7 +18,7 @@ import numpy as np
 from twohands.errors import CheckpointError
 from twohands.inference.int8 import quantise
 from twohands.inference.runtime import open_core, read_network
-from twohands.inference.weights import WeightsCard, network_files, read_card, second_folder
+from twohands.inference.weights import HAND_CHECK, WeightsCard, network_files, read_card, second_folder
 from twohands.skeleton import N_JOINTS
 
 HEAVY_LAYERS = ("Convolution", "FullyConnected", "MatMul")
@@ -33,11 +34,13 @@ class SecondNetworks:
     Attributes:
         card: of their own preset.
         pose_net_2d, pose_net_3d: as in `Networks`.
+        hand_check: (B, 3, S, S) -> (B, 1) log-odds that crops show a hand (`models.hand_check`); None without.
     """
 
     card: WeightsCard
     pose_net_2d: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
     pose_net_3d: Callable[[np.ndarray], np.ndarray]
+    hand_check: Callable[[np.ndarray], np.ndarray] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +183,12 @@ def load_networks(folder: Path, card: WeightsCard, threads: int = 0) -> Networks
         others_card = read_card(other)
         others = pose_networks(other, others_card)
         used += others
-        second = SecondNetworks(others_card, *_pose_functions(*others))
+        check = None
+        if others_card.check_size:
+            network = compiled(other, others_card, HAND_CHECK, 3, 1)
+            used.append(network)
+            check = partial(_only_output, network)
+        second = SecondNetworks(others_card, *_pose_functions(*others), check)
     arithmetic = " and ".join(sorted({kind for network in used for kind in network.arithmetic}))
     runtime = f"OpenVINO on {seg.threads} thread{'s'[: seg.threads > 1]} in {arithmetic}"
 
@@ -200,7 +208,11 @@ def _pose_functions(
         heatmaps, *judged = pose_2d(batch)
         return heatmaps, judged[0][:, 0] if judged else np.zeros(len(batch), np.float32)
 
-    return pose_net_2d, lambda batch: pose_3d(batch)[0]
+    return pose_net_2d, partial(_only_output, pose_3d)
+
+
+def _only_output(network: OpenVinoNetwork, batch: np.ndarray) -> np.ndarray:
+    return network(batch)[0]
 
 
 def _channels(port: object) -> int | None:

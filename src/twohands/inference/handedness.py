@@ -15,7 +15,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -75,6 +76,8 @@ class Evidence:
             LEFT or RIGHT hand (`geometry.segmentation.as_one_hand`); None where they are not.
         palm_distance: `palm_distance`, infinite for a candidate that is alone.
         before: the frame before; None where nothing is known.
+        check: (2,) HandCheck's log-odds that the candidates are hands; NaN where it did not look.
+        merged_check: the same of both together.
     """
 
     image_size: tuple[int, int]
@@ -86,6 +89,15 @@ class Evidence:
     merged_joints: np.ndarray | None = None
     palm_distance: float = math.inf
     before: Before | None = None
+    check: np.ndarray = field(default_factory=partial(np.full, 2, np.nan))
+    merged_check: float = math.nan
+
+    def checks(self, source: np.ndarray) -> np.ndarray:
+        """(2,) HandCheck's log-odds that the hands of an answer, `Assignment.source`, are hands; NaN for an absent one
+        and where it did not look."""
+        together = self.merged_pose is not None and (source >= 0).sum() == 1
+        said = np.full(2, self.merged_check) if together else self.check[source]
+        return np.where(source >= 0, said, np.nan)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +124,7 @@ class LastLook:
         joints: (2,) mean score of the joints in it, 0..1.
         size: (2,) longer side of the hand's box as a share of the picture's longer side.
         palm_distance: `palm_distance` of both hands, infinite for a hand that is alone.
+        check: (2,) HandCheck's log-odds that they are hands; NaN also where it did not look.
     """
 
     source: np.ndarray
@@ -120,6 +133,7 @@ class LastLook:
     joints: np.ndarray
     size: np.ndarray
     palm_distance: float = math.inf
+    check: np.ndarray = field(default_factory=partial(np.full, 2, np.nan))
 
 
 def assign_handedness(evidence: Evidence, config: DecisionConfig) -> Assignment:
@@ -194,8 +208,8 @@ def last_features(look: LastLook) -> np.ndarray:
     """Features of every last answer: sums over the hands that are kept, and of the pair.
 
     Of a hand: 1 ("hand"); the log-odds of the first decision; PoseNet2D's log-odds and the joints' score in the last
-    view; the logarithm of its size; 1 if it is on the other side than HandSegNet says. Of the pair: 1 ("both"), and how
-    near each other they are.
+    view; the logarithm of its size; 1 if it is on the other side than HandSegNet says; HandCheck's log-odds, and once
+    more if it passed, or 1 for "check_unseen". Of the pair: 1 ("both"), and how near each other they are.
 
     Returns:
         (4, F) in the order of `KEPT` and `LAST_FEATURES`; NaN for an answer that cannot be.
@@ -213,6 +227,10 @@ def last_features(look: LastLook) -> np.ndarray:
             features["joints"] += look.joints[side] - _USUAL_SCORE
             features["size"] += _log_size(look.size[side])
             features["swapped"] += float(look.source[side] != side)
+            check = _limited(np.nan_to_num(look.check[side]))
+            features["check"] += check
+            features["check_passed"] += max(0.0, check)
+            features["check_unseen"] += float(np.isnan(look.check[side]))
         if len(hands) == 2:
             features["both"], features["both_near"] = 1.0, _nearness(look.palm_distance)
         row[:] = weight_vector(features, LAST_FEATURES)

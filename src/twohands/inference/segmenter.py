@@ -23,6 +23,7 @@ from twohands.geometry.segmentation import (
     mean_of_views,
     parted_boxes,
     probability,
+    resized_maps,
     unmirrored,
 )
 from twohands.inference.decision import PictureView, ViewConfig
@@ -72,8 +73,8 @@ def picture_maps(network: HandSegNet, card: WeightsCard, image: np.ndarray) -> H
 
     def seen(view: PictureView) -> tuple[np.ndarray, np.ndarray]:
         canvas, place = fitted(view.size)
-        picture = canvas[:, ::-1] if view.mirrored else canvas
-        seg_logits, energy_logits = (maps[0] for maps in network(network_input(picture[None])))
+        batch = network_input((canvas[:, ::-1] if view.mirrored else canvas)[None])
+        seg_logits, energy_logits = (resized_maps(maps[0], canvas.shape[:2]) for maps in network(batch))
         if view.mirrored:
             seg_logits, energy_logits = unmirrored(seg_logits, energy_logits)
         return place.content(seg_logits), place.content(energy_logits)
@@ -134,7 +135,7 @@ def with_part(maps: HandMaps, closer: HandMaps, part: tuple[slice, slice], image
         where.append(slice(start, start + cells))
 
     def merged(whole: np.ndarray, detail: np.ndarray) -> np.ndarray:
-        planes = np.stack([cv2.resize(np.ascontiguousarray(plane), size[::-1]) for plane in whole])
+        planes = np.array(resized_maps(whole, tuple(size)))
         planes[:, where[0], where[1]] = detail
         return planes
 

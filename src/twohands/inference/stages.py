@@ -14,7 +14,7 @@ import numpy as np
 
 from twohands.errors import InputError
 from twohands.geometry.segmentation import HandBoxes
-from twohands.inference import keypoints, placement, segmenter
+from twohands.inference import hand_check, keypoints, placement, segmenter
 from twohands.inference.engine import Networks
 from twohands.inference.keypoints import Keypoints
 from twohands.inference.segmenter import HandMaps
@@ -74,6 +74,7 @@ class Stages:
         read_out: heatmaps, crops -> joints (B, 21, 2) in pixels and scores (B, 21), `keypoints.read_out`.
         lift: keypoints -> canonical joints (B, 21, 3), `placement.lift`.
         place: canonical, joints_px, joint_scores, camera, lengths_m -> `placement.place`.
+        check: image, joints (B, 21, 2) -> `hand_check.checked`; None without such a network.
         card: of the weights.
         second: the same stages with the pose networks that look where these doubt; None without any.
     """
@@ -87,13 +88,15 @@ class Stages:
     lift: Callable[[Keypoints], np.ndarray]
     place: Callable[[np.ndarray, np.ndarray, np.ndarray, PinholeCamera, np.ndarray], GlobalPose]
     card: WeightsCard
+    check: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
     second: Stages | None = None
 
     @classmethod
     def of(cls, networks: Networks, card: WeightsCard, pair: int = 0) -> Stages:
         """The stages of a set of weights; `pair` is 1 for those of the second pose networks."""
-        second = None
+        check = second = None
         if (known := networks.second) is not None:
+            check = None if known.hand_check is None else partial(hand_check.checked, known.hand_check, known.card)
             poses = replace(networks, pose_net_2d=known.pose_net_2d, pose_net_3d=known.pose_net_3d, second=None)
             second = cls.of(poses, known.card, 1)
         return cls(
@@ -106,6 +109,7 @@ class Stages:
             lift=partial(placement.lift, networks.pose_net_3d),
             place=partial(placement.place, card.placement),
             card=card,
+            check=check,
             second=second,
         )
 

@@ -7,6 +7,7 @@ A preset is a folder::
                                  hand classifier, also hand_logit (B, 1)
              pose_net_3d.onnx    (B, 21 + cues, M, M) -> canonical (B, 21, 3), left-like hand
              card.json
+             hand_check.onnx     optional, (B, 3, S, S) -> hand_logit (B, 1)
 
 The card holds what inference must know; every other key (recipe, seed, accuracy, ...) is for the reader::
 
@@ -33,7 +34,8 @@ A preset may take networks of another one; its card names the folder beside its 
 
 A preset may have second pose networks, which look where its own doubt (`inference.second_look`); its card names their
 folder, beside its own and like it a preset's, as "second". Where there is no such folder, that of the shipped weights
-with this name is meant: weights that were trained on from shipped ones keep their second networks.
+with this name is meant: weights that were trained on from shipped ones keep their second networks. If its card has a
+section "hand_check", it holds a fourth network, which says of candidates whether they are hands (`models.hand_check`).
 
 "views", "decision" and "placement" override any field of `inference.decision`'s records. Cards of version 1 had four of
 these elsewhere, under other names, and are read as well. Without weights in "decision" (scripts/fit_handedness.py),
@@ -62,6 +64,7 @@ CARD_VERSION = 2
 NETWORK_INPUT = "(x - 128) / 256"
 """What `geometry.network_input.network_input` does with a picture's values; a card may say so, and nothing else."""
 NETWORK_NAMES = ("hand_seg_net", "pose_net_2d", "pose_net_3d")
+HAND_CHECK = "hand_check"
 CROP_KINDS = ("square", "perspective")
 HEATMAP_DECODERS = ("subpixel", "softargmax")
 MAX_INPUT = 4096
@@ -84,6 +87,8 @@ class WeightsCard:
         cues: number of maps that PoseNet2D gives beside those of the joints, for PoseNet3D.
         networks: networks that the preset takes of another one -> name of that one's folder, beside its own.
         int8: networks that run in 8 bits -> name of every ReLU -> largest value after it (`inference.int8`).
+        check_size: side of the square input of HandCheck in pixels; 0 where the folder has none.
+        check_margin: side of its crop over the larger side of the hand's box.
         second: name of the folder, beside its own or among the shipped ones, of the pose networks that look where its
             own doubt; "" without.
         views, decision, placement: every hand-tuned number of the pipeline.
@@ -101,6 +106,8 @@ class WeightsCard:
     cues: int = 0
     networks: Mapping[str, str] = field(default_factory=dict)
     int8: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    check_size: int = 0
+    check_margin: float = 1.0
     second: str = ""
     views: ViewConfig = field(default_factory=ViewConfig)
     decision: DecisionConfig = field(default_factory=DecisionConfig)
@@ -116,6 +123,11 @@ class WeightsCard:
             raise CheckpointError(f"card: pose_net_2d.crop_kind must be one of {CROP_KINDS}, got {self.crop_kind!r}")
         if not self.crop_margin > 0:
             raise CheckpointError(f"card: pose_net_2d.crop_margin must be positive, got {self.crop_margin}")
+        if not (0 <= self.check_size <= MAX_INPUT and self.check_margin > 0):
+            raise CheckpointError(
+                f"card: hand_check needs a crop_size of 1 to {MAX_INPUT} and a crop_margin above 0, got "
+                f"{self.check_size} and {self.check_margin}"
+            )
         if not 0 <= self.background <= 1:
             raise CheckpointError(f"card: pose_net_2d.background must lie in 0..1, got {self.background}")
         if self.network_input != NETWORK_INPUT:
@@ -157,7 +169,7 @@ class WeightsCard:
         try:
             if version == 1:
                 card = _of_version_1(card)
-            seg, pose = card["hand_seg_net"], card["pose_net_2d"]
+            seg, pose, check = card["hand_seg_net"], card["pose_net_2d"], card.get(HAND_CHECK)
             height, width = (int(n) for n in seg["input_size"])
             return cls(
                 name=str(card["name"]),
@@ -171,6 +183,8 @@ class WeightsCard:
                 cues=int(pose.get("cues", 0)),
                 networks={str(name): str(folder) for name, folder in card.get("networks", {}).items()},
                 int8=_peaks(card.get("int8", {})),
+                check_size=0 if check is None else int(check["crop_size"]),
+                check_margin=1.0 if check is None else float(check["crop_margin"]),
                 second=str(card.get("second", "")),
                 views=overridden(ViewConfig(), _views(card.get("views", {}), (height, width)), "views"),
                 decision=overridden(DecisionConfig(), card.get("decision", {}), "decision"),
@@ -297,7 +311,7 @@ def network_files(folder: Path, card: WeightsCard) -> dict[str, Path]:
     """Where the networks of a preset's folder are, by name; the files need not exist."""
     homes = {
         name: folder.resolve().parent / card.networks[name] if name in card.networks else folder
-        for name in NETWORK_NAMES
+        for name in (*NETWORK_NAMES, *([HAND_CHECK] if card.check_size else []))
     }
     return {name: home / f"{name}.onnx" for name, home in homes.items()}
 

@@ -126,7 +126,10 @@ class HandSegNet(nn.Module):
         """
         maps = self.net(x)
         if maps.shape[-2:] != x.shape[-2:]:
-            # A factor, not a size: exported, the network still takes pictures of any size.
-            factor = float(x.shape[-1] // maps.shape[-1])
-            maps = functional.interpolate(maps, scale_factor=factor, mode="bilinear", align_corners=False)
+            maps = functional.interpolate(maps, size=x.shape[-2:], mode="bilinear", align_corners=False)
+        return maps[:, :3], maps[:, 3:]
+
+    def coarse(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """The same before it is enlarged: (B, 3, h, w) and (B, 2, h, w), of the U-shapes smaller than the input."""
+        maps = self.net(x)
         return maps[:, :3], maps[:, 3:]

@@ -10,6 +10,7 @@ from typing import Any, Literal
 from torch import nn
 
 from twohands.errors import InputError
+from twohands.models.hand_check import HandCheck, HandCheckConfig
 from twohands.models.hand_seg_net import HandSegNet, HandSegNetConfig
 from twohands.models.pose_net_2d import PoseNet2D, PoseNet2DConfig
 from twohands.models.pose_net_3d import PoseNet3D, PoseNet3DConfig
@@ -29,6 +30,7 @@ NETWORKS: dict[str, NetworkKind] = {
     "hand_seg_net": NetworkKind(HandSegNet, HandSegNetConfig),
     "pose_net_2d": NetworkKind(PoseNet2D, PoseNet2DConfig),
     "pose_net_3d": NetworkKind(PoseNet3D, PoseNet3DConfig),
+    "hand_check": NetworkKind(HandCheck, HandCheckConfig),
 }
 
 
