@@ -81,7 +81,8 @@ NEAREST: Final = 0.8
 HELD_OUT: Final = 0.1
 """Share of the pictures that are held out."""
 PENALTY: Final = 1e-3
-"""Of half the square of a weight times its feature's standard deviation."""
+"""Of the square of a weight times its feature's standard deviation, beside the mean loss of a crop. 3e-4 to 3e-3 are
+alike in crops held out."""
 
 
 class Look(NamedTuple):
