@@ -56,6 +56,7 @@ from twohands.inference.handedness import (
     first_features,
     last_features,
     rescore,
+    weight_vector,
 )
 from twohands.inference.weights import preset_folder, read_card, weights_id, write_card
 from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
@@ -124,7 +125,9 @@ def main() -> int:
     parser.add_argument("--judges", nargs="*", default=[], help="weights folders or presets: see above")
     add_picture_options(parser, count=1000, digits=150, photographs=100)
     parser.add_argument("--cache", type=Path, required=True, help="file of evidence; read where it is there")
-    parser.add_argument("--keep-first", action="store_true", help="leave the card's first decision as it is")
+    parser.add_argument(
+        "--check-alone", action="store_true", help="leave all as the card has it but HandCheck's weights"
+    )
     parser.add_argument("--dry-run", action="store_true", help="leave the card alone")
     options = parser.parse_args()
     try:
@@ -136,7 +139,7 @@ def main() -> int:
         identity = "+".join(weights_id(folder, read_card(folder)) for folder in folders)
         pictures = gathered(options, "+".join([identity, *map(views_id, folders)]))
         config = card.decision
-        fitting = fit_last if options.keep_first else fit
+        fitting = fit_check if options.check_alone else fit
         summary = cross_validated(pictures, config, fitting)
         fitted = fitting(pictures, config)
         kinds = {kind: sum(one.kind == kind for one in pictures) for kind in dict.fromkeys(p.kind for p in pictures)}
@@ -343,10 +346,11 @@ def fit(pictures: Sequence[Seen], config: DecisionConfig) -> DecisionConfig:
     return fitted_last(known, fitted_first(known, config))
 
 
-def fit_last(pictures: Sequence[Seen], config: DecisionConfig) -> DecisionConfig:
-    """The weights of the last decision alone, likewise."""
-    alone = fitted_last([(one, None) for one in pictures], config)
-    return fitted_last(with_before(pictures, alone), config)
+def fit_check(pictures: Sequence[Seen], config: DecisionConfig) -> DecisionConfig:
+    """The weights of what HandCheck says alone, likewise; all others stay."""
+    free = tuple(LAST_FEATURES.index(name) for name in ("check_short", "check_unseen"))
+    alone = fitted_last([(one, None) for one in pictures], config, free)
+    return fitted_last(with_before(pictures, alone), config, free)
 
 
 def with_before(pictures: Sequence[Seen], config: DecisionConfig) -> list[tuple[Seen, Before | None]]:
@@ -384,15 +388,18 @@ def fitted_first(known: Sequence[tuple[Seen, Before | None]], config: DecisionCo
     return replace(config, first=named(likeliest(Choices(np.array(features), np.array(right))), FIRST_FEATURES))
 
 
-def fitted_last(known: Sequence[tuple[Seen, Before | None]], config: DecisionConfig) -> DecisionConfig:
-    """With the weights of the last decision, after the first one."""
+def fitted_last(
+    known: Sequence[tuple[Seen, Before | None]], config: DecisionConfig, free: Sequence[int] | None = None
+) -> DecisionConfig:
+    """With the weights of the last decision, after the first one; `free` as of `likeliest`."""
     features, right = [], []
     for one, before in known:
         assignment = assign_handedness(replace(one.evidence, before=before), config)
         answer = ANSWERS.index((int(assignment.source[LEFT]), int(assignment.source[RIGHT])))
         features.append(last_features(look_of(one, answer, assignment)))
         right.append((np.array(KEPT) == (one.outcome[answer] == RIGHTLY)).all(axis=1))
-    return replace(config, last=named(likeliest(Choices(np.array(features), np.array(right))), LAST_FEATURES))
+    choices, given = Choices(np.array(features), np.array(right)), weight_vector(config.last, LAST_FEATURES)
+    return replace(config, last=named(likeliest(choices, given, free), LAST_FEATURES))
 
 
 def right_answers(outcome: np.ndarray, possible: np.ndarray) -> np.ndarray:
@@ -403,8 +410,14 @@ def right_answers(outcome: np.ndarray, possible: np.ndarray) -> np.ndarray:
     return count == count.max()
 
 
-def likeliest(choices: Choices) -> np.ndarray:
-    """(F,) weights of the largest penalised likelihood that one of the right answers is the answer."""
+def likeliest(choices: Choices, given: np.ndarray | None = None, free: Sequence[int] | None = None) -> np.ndarray:
+    """(F,) weights of the largest penalised likelihood that one of the right answers is the answer.
+
+    Args:
+        choices: of the pictures.
+        given: (F,) weights of features that are not `free`.
+        free: features whose weights are found; None for all.
+    """
     possible = np.isfinite(choices.features[..., 0])
     open_ones = possible.sum(axis=1) > 1
     features, right, possible = choices.features[open_ones], choices.right[open_ones], possible[open_ones]
@@ -412,10 +425,14 @@ def likeliest(choices: Choices) -> np.ndarray:
         raise InputError("no picture with a candidate: there is nothing to fit")
     spread = np.maximum(features[possible].std(axis=0), 1e-9)
     features = np.where(possible[..., None], features, 0.0) / spread
-    impossible = np.where(possible, 0.0, -np.inf)
+    offset = np.where(possible, 0.0, -np.inf)
+    if given is not None and free is not None:
+        fixed = np.array(given)
+        fixed[list(free)] = 0.0
+        offset, features = offset + features @ (fixed * spread), features[..., list(free)]
 
     def loss(weights: np.ndarray) -> tuple[float, np.ndarray]:
-        scores = features @ weights + impossible
+        scores = features @ weights + offset
         rightly = np.where(right, scores, -np.inf)
         whole, part = logsumexp(scores, axis=1), logsumexp(rightly, axis=1)
         pull = np.exp(scores - whole[:, None]) - np.exp(rightly - part[:, None])
@@ -423,7 +440,10 @@ def likeliest(choices: Choices) -> np.ndarray:
         return value, np.einsum("na,naf->f", pull, features) + PENALTY * weights
 
     found = minimize(loss, np.zeros(features.shape[-1]), jac=True, method="L-BFGS-B", options={"maxiter": 2000})
-    return found.x / spread
+    if given is None or free is None:
+        return found.x / spread
+    fixed[list(free)] = found.x / spread[list(free)]
+    return fixed
 
 
 def named(weights: np.ndarray, names: Sequence[str]) -> dict[str, float]:

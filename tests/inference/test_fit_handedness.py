@@ -1,5 +1,7 @@
 """`scripts/fit_handedness.py`: what is right, how it counts, and that known weights are found again."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scripts.fit_handedness import (
@@ -12,7 +14,7 @@ from scripts.fit_handedness import (
     counted,
     cross_validated,
     fit,
-    fit_last,
+    fit_check,
     judged_by,
     likeliest,
     load,
@@ -129,12 +131,18 @@ def test_a_fit_tells_sides_and_ghosts_and_what_it_says_is_as_often_true(capsys):
     assert fitted.first["pose_contrast"] + fitted.first["pose"] > 0 and fitted.last["first"] > 0
 
 
-def test_the_last_decision_alone_is_fitted_where_the_first_is_to_stay():
+def test_what_handcheck_says_is_fitted_alone_where_all_else_is_to_stay():
+    """The check passes what is right, and fails what is not: it is believed, and no other weight moves."""
     rng = np.random.default_rng(1)
-    pictures = [judged_picture(rng, scene) for scene in range(60)]
-    config = DecisionConfig(first={"pose": 0.7, "hand": -0.1})
-    fitted = fit_last(pictures, config)
-    assert fitted.first == config.first and fitted.last["first"] > 0
+    pictures = [judged_picture(rng, scene) for scene in range(200)]
+    for i, one in enumerate(pictures):
+        check = np.where((one.outcome == RIGHTLY).any(), [4.0, NO], [-2.0, NO])
+        pictures[i] = one._replace(evidence=dataclasses.replace(one.evidence, check=check))
+    config = DecisionConfig(first={"pose": 0.7, "hand": -0.1}, last={"first": 0.5, "hand": 0.25})
+    fitted = fit_check(pictures, config)
+    assert fitted.first == config.first
+    assert (fitted.last["first"], fitted.last["hand"], fitted.last["pose"]) == (0.5, 0.25, 0.0)
+    assert fitted.last["check_short"] > 0.2
 
 
 def test_pictures_keep_what_came_before_them_when_some_are_left_out():

@@ -103,7 +103,7 @@ def test_without_it_nothing_is_said():
 
 
 def test_what_it_says_of_the_hands_of_an_answer():
-    """Of exchanged candidates that of the other one, of both as one hand that of both together."""
+    """Of exchanged candidates that of the other one, of two in one place that of both together where it is surer."""
     here, found = finder(lambda image, joints_px: SAID[: len(joints_px)])
     apart, _ = here.evidence(found, None)
     np.testing.assert_allclose(apart.checks(np.array([1, 0])), SAID[[1, 0]])
@@ -111,15 +111,15 @@ def test_what_it_says_of_the_hands_of_an_answer():
     here, found = finder(lambda image, joints_px: SAID[: len(joints_px)], same_place_iou=0.0)
     together, _ = here.evidence(found, None)
     np.testing.assert_allclose(together.checks(np.array([0, -1])), [SAID[2], np.nan])
-    np.testing.assert_allclose(together.checks(np.array([0, 1])), SAID[:2])
+    np.testing.assert_allclose(together.checks(np.array([0, 1])), [SAID[0], SAID[2]], err_msg="the surer word")
 
 
 def test_what_it_says_is_weighed_in_the_last_decision_by_hand():
     source, first = np.array([0, 1]), np.array([1.0, 1.0])
-    for check, expected in (([9.0, -2.0], (6 - 2, 6, 0)), ([np.nan, 0.5], (0.5, 0.5, 1))):
+    for check, expected in (([9.0, -2.0], (-5, 0)), ([np.nan, 2.5], (-0.5, 1)), ([3.0, -9.0], (-9, 0))):
         look = LastLook(source, first, first, first, np.array([0.2, 0.2]), check=np.array(check))
         both = dict(zip(LAST_FEATURES, last_features(look)[KEPT.index((True, True))], strict=True))
-        assert (both["check"], both["check_passed"], both["check_unseen"]) == expected
+        assert (both["check_short"], both["check_unseen"]) == expected
 
 
 def test_crops_that_cannot_be_are_refused():

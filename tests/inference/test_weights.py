@@ -59,7 +59,7 @@ def test_the_shipped_presets_are_complete():
             files = [path.name for path in sorted(second.glob("*.onnx"))]
             assert files == ["hand_check.onnx", "pose_net_2d.onnx", "pose_net_3d.onnx"]
             assert networks.second.hand_check is not None
-            assert {"check", "check_passed"} <= set(card.decision.last), "HandCheck is there and has no say"
+            assert {"check_short", "check_unseen"} <= set(card.decision.last), "HandCheck is there and has no say"
 
 
 def test_a_folder_is_taken_before_a_shipped_preset_of_its_name(tiny, tmp_path, monkeypatch):

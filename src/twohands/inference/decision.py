@@ -112,7 +112,7 @@ FIRST_FEATURES: Final = (
 )
 """What the first decision weighs; `handedness.first_features` says what each is."""
 LAST_FEATURES: Final = (
-    *("hand", "first", "pose", "joints", "size", "swapped", "check", "check_passed", "check_unseen"),
+    *("hand", "first", "pose", "joints", "size", "swapped", "check_short", "check_unseen"),
     *("both", "both_near"),
 )
 """What the last decision weighs; `handedness.last_features` says what each is."""

@@ -33,6 +33,8 @@ KEPT: Final = ((False, False), (True, False), (False, True), (True, True))
 """Every last answer: whether LEFT and RIGHT are hands."""
 LOGIT_LIMIT: Final = 6.0
 """Log-odds are limited to this size as features: a network may be sure and wrong."""
+_PASSED: Final = 3.0
+"""HandCheck's log-odds from which on a hand is one, and no more of it is needed."""
 _USUAL_SCORE: Final = 0.8
 """Joint scores are counted from here; the weight of "hand" makes up for any other value."""
 
@@ -94,9 +96,12 @@ class Evidence:
 
     def checks(self, source: np.ndarray) -> np.ndarray:
         """(2,) HandCheck's log-odds that the hands of an answer, `Assignment.source`, are hands; NaN for an absent one
-        and where it did not look."""
-        together = self.merged_pose is not None and (source >= 0).sum() == 1
-        said = np.full(2, self.merged_check) if together else self.check[source]
+        and where it did not look. Of two in one place a crop of either shows the other, too: what is said of both
+        together counts where it is surer."""
+        said = self.check[source]
+        if self.merged_pose is not None:
+            alone = (source >= 0).sum() == 1
+            said = np.full(2, self.merged_check) if alone else np.fmax(said, self.merged_check)
         return np.where(source >= 0, said, np.nan)
 
 
@@ -208,8 +213,8 @@ def last_features(look: LastLook) -> np.ndarray:
     """Features of every last answer: sums over the hands that are kept, and of the pair.
 
     Of a hand: 1 ("hand"); the log-odds of the first decision; PoseNet2D's log-odds and the joints' score in the last
-    view; the logarithm of its size; 1 if it is on the other side than HandSegNet says; HandCheck's log-odds, and once
-    more if it passed, or 1 for "check_unseen". Of the pair: 1 ("both"), and how near each other they are.
+    view; the logarithm of its size; 1 if it is on the other side than HandSegNet says; what HandCheck's log-odds lack
+    to be sure ("check_short"), or 1 for "check_unseen". Of the pair: 1 ("both"), and how near each other they are.
 
     Returns:
         (4, F) in the order of `KEPT` and `LAST_FEATURES`; NaN for an answer that cannot be.
@@ -227,10 +232,9 @@ def last_features(look: LastLook) -> np.ndarray:
             features["joints"] += look.joints[side] - _USUAL_SCORE
             features["size"] += _log_size(look.size[side])
             features["swapped"] += float(look.source[side] != side)
-            check = _limited(np.nan_to_num(look.check[side]))
-            features["check"] += check
-            features["check_passed"] += max(0.0, check)
-            features["check_unseen"] += float(np.isnan(look.check[side]))
+            unchecked = bool(np.isnan(look.check[side]))
+            features["check_short"] += 0.0 if unchecked else min(0.0, _limited(look.check[side]) - _PASSED)
+            features["check_unseen"] += float(unchecked)
         if len(hands) == 2:
             features["both"], features["both_near"] = 1.0, _nearness(look.palm_distance)
         row[:] = weight_vector(features, LAST_FEATURES)
