@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 import tempfile
 import time
@@ -38,6 +39,7 @@ from twohands.errors import InputError, TwoHandsError
 from twohands.export.onnx import export_network
 from twohands.geometry.boxes import upright_crop, warp_image
 from twohands.geometry.network_input import network_input
+from twohands.geometry.rotation import rotation_about_z
 from twohands.inference.detection import HandFinder
 from twohands.inference.engine import OpenVinoNetwork
 from twohands.inference.estimator import HandEstimator
@@ -208,8 +210,8 @@ def encoder_of(network: HandCheck) -> Callable[[np.ndarray], np.ndarray]:
 def moved_joints(joints_px: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Joints (21, 2) a little elsewhere, larger or smaller, and turned (`JITTER`)."""
     middle, size = joints_px.mean(axis=0), np.ptp(joints_px, axis=0).max()
-    turn, scale = np.radians(rng.normal(0, JITTER[2])), np.exp(rng.normal(0, JITTER[1]))
-    rotation = scale * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    turn, scale = math.radians(rng.normal(0, JITTER[2])), np.exp(rng.normal(0, JITTER[1]))
+    rotation = scale * rotation_about_z(turn)[:2, :2]
     return middle + (joints_px - middle) @ rotation.T + rng.normal(0, JITTER[0], 2) * size
 
 

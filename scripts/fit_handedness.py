@@ -425,11 +425,11 @@ def likeliest(choices: Choices, given: np.ndarray | None = None, free: Sequence[
         raise InputError("no picture with a candidate: there is nothing to fit")
     spread = np.maximum(features[possible].std(axis=0), 1e-9)
     features = np.where(possible[..., None], features, 0.0) / spread
-    offset = np.where(possible, 0.0, -np.inf)
-    if given is not None and free is not None:
-        fixed = np.array(given)
-        fixed[list(free)] = 0.0
-        offset, features = offset + features @ (fixed * spread), features[..., list(free)]
+    chosen = np.arange(len(spread)) if free is None else np.array(free)
+    answer = np.zeros(len(spread)) if given is None else np.array(given)
+    answer[chosen] = 0.0
+    offset = np.where(possible, 0.0, -np.inf) + features @ (answer * spread)
+    features = features[..., chosen]
 
     def loss(weights: np.ndarray) -> tuple[float, np.ndarray]:
         scores = features @ weights + offset
@@ -440,10 +440,8 @@ def likeliest(choices: Choices, given: np.ndarray | None = None, free: Sequence[
         return value, np.einsum("na,naf->f", pull, features) + PENALTY * weights
 
     found = minimize(loss, np.zeros(features.shape[-1]), jac=True, method="L-BFGS-B", options={"maxiter": 2000})
-    if given is None or free is None:
-        return found.x / spread
-    fixed[list(free)] = found.x / spread[list(free)]
-    return fixed
+    answer[chosen] = found.x / spread[chosen]
+    return answer
 
 
 def named(weights: np.ndarray, names: Sequence[str]) -> dict[str, float]:

@@ -7,6 +7,7 @@ it is one multiplication.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any, Final, Literal
 
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from twohands.errors import InputError
 from twohands.geometry._arrays import float_arrays
 from twohands.geometry.camera import intrinsic_matrix, unproject
-from twohands.geometry.rotation import centring_angles, rotation_from_angles
+from twohands.geometry.rotation import centring_angles, rotation_about_z, rotation_from_angles
 from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
 from twohands.types import Array, PinholeCamera
 
@@ -245,8 +246,7 @@ def upright_crop(joints_px: NDArray[np.float64], *, size: int, margin: float) ->
         image_from_crop: (3, 3), for pixels that are not mirrored; of joints that are all in one place, one that shows
         the pixel there.
     """
-    turn = np.radians(-upright_roll_deg(joints_px))
-    image_from_upright = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    image_from_upright = rotation_about_z(math.radians(-float(upright_roll_deg(joints_px))))[:2, :2]
     upright = joints_px @ image_from_upright
     low, high = upright.min(axis=0), upright.max(axis=0)
     scale = margin * max(float((high - low).max()), 1.0) / size

@@ -199,7 +199,7 @@ def mean_of_views(views: Sequence[tuple[np.ndarray, ...]]) -> tuple[np.ndarray, 
 def resized_maps(maps: np.ndarray, size: tuple[int, ...]) -> np.ndarray:
     """Maps (C, h, w) with other cells over the same picture, (C, *size): between the old ones, by linear
     interpolation. The same array where they are as many."""
-    if maps.shape[1:] == tuple(size):
+    if maps.shape[1:] == size:
         return maps
     return np.stack([cv2.resize(np.ascontiguousarray(plane), size[::-1]) for plane in maps])
 

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from twohands.geometry.boxes import box_in_picture, box_iou, continued_box, ellipse_in, upright_roll_deg
 from twohands.geometry.segmentation import UNCERTAIN, HandBoxes, as_one_hand, box_evidence, probability
 from twohands.inference.handedness import (
+    UNCHECKED,
     Assignment,
     Before,
     Evidence,
@@ -32,9 +33,6 @@ from twohands.inference.views import HandViewer
 from twohands.inference.weights import WeightsCard
 from twohands.skeleton import LEFT, RIGHT
 from twohands.types import HandCrop, PinholeCamera
-
-UNCHECKED: Final = np.full(2, np.nan)
-"""`Evidence.checks` of hands at which HandCheck did not look."""
 
 
 class Detection(NamedTuple):
@@ -259,9 +257,11 @@ class HandFinder:
         NaN for what there is not."""
         said = np.full(3, np.nan)
         if self.stages.check is not None:
-            views = [seen] if merged is None else [seen, merged.rows([int(np.argmax(merged.hand_logits))])]
-            rows = [*seen.sides, 2][: len(seen.sides) + len(views) - 1]
-            said[rows] = self.stages.check(self.image, np.concatenate([view.joints_px for view in views]))
+            rows, joints_px = [*seen.sides], [*seen.joints_px]
+            if merged is not None:
+                rows.append(2)
+                joints_px.append(merged.joints_px[np.argmax(merged.hand_logits)])
+            said[rows] = self.stages.check(self.image, np.stack(joints_px))
         return said
 
     def assigned(self, found: Detection, assignment: Assignment, views: CandidateViews) -> tuple[Detection, np.ndarray]:

@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Final
 
 import numpy as np
@@ -33,6 +32,8 @@ KEPT: Final = ((False, False), (True, False), (False, True), (True, True))
 """Every last answer: whether LEFT and RIGHT are hands."""
 LOGIT_LIMIT: Final = 6.0
 """Log-odds are limited to this size as features: a network may be sure and wrong."""
+UNCHECKED: Final = np.full(2, np.nan)
+"""HandCheck's log-odds of two hands at which it did not look."""
 _PASSED: Final = 3.0
 """HandCheck's log-odds from which on a hand is one, and no more of it is needed."""
 _USUAL_SCORE: Final = 0.8
@@ -91,7 +92,7 @@ class Evidence:
     merged_joints: np.ndarray | None = None
     palm_distance: float = math.inf
     before: Before | None = None
-    check: np.ndarray = field(default_factory=partial(np.full, 2, np.nan))
+    check: np.ndarray = field(default_factory=UNCHECKED.copy)
     merged_check: float = math.nan
 
     def checks(self, source: np.ndarray) -> np.ndarray:
@@ -138,7 +139,7 @@ class LastLook:
     joints: np.ndarray
     size: np.ndarray
     palm_distance: float = math.inf
-    check: np.ndarray = field(default_factory=partial(np.full, 2, np.nan))
+    check: np.ndarray = field(default_factory=UNCHECKED.copy)
 
 
 def assign_handedness(evidence: Evidence, config: DecisionConfig) -> Assignment:
