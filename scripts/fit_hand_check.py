@@ -159,10 +159,10 @@ def main() -> int:
             save(options.cache[0], look_around(options, network))
             return 0
         looks = load(options.cache)
-        weights, bias = fit(looks)
+        weights, biases = fit(looks)
         print_held_out(looks)
         if not options.dry_run:
-            write(options.preset, network, weights, bias, note | {"crops": counted(looks)})
+            write(options.preset, network, weights, biases, note | {"crops": counted(looks)})
     except TwoHandsError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
@@ -221,10 +221,18 @@ def anywhere(image_size: tuple[int, int], rng: np.random.Generator) -> np.ndarra
     return rng.uniform(0, 1, 2) * image_size[::-1] + size * rng.uniform(-0.5, 0.5, (N_JOINTS, 2))
 
 
-def fit(looks: Looks) -> tuple[np.ndarray, float]:
-    """Weights (1152,) and bias of the layer; hands and other things count alike, however many there are."""
+def fit(looks: Looks) -> tuple[np.ndarray, np.ndarray]:
+    """Weights (2, 1152) and biases (2,) of the layer: whether it is a hand, where hands and other things count alike,
+    however many there are, and whether a hand is a left one."""
     hands = looks.shown != NOTHING
-    return regression(looks.features, hands, np.where(hands, 0.5 / hands.mean(), 0.5 / (1 - hands.mean())))
+    shares = np.where(hands, 0.5 / hands.mean(), 0.5 / (1 - hands.mean()))
+    of_hands = looks.rows(hands)
+    found = (
+        regression(looks.features, hands, shares),
+        regression(of_hands.features, of_hands.shown == LEFT, np.ones(len(of_hands.shown))),
+    )
+    weights, biases = zip(*found, strict=True)
+    return np.stack(weights), np.array(biases)
 
 
 def regression(features: np.ndarray, true: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, float]:
@@ -266,14 +274,16 @@ class Looks(NamedTuple):
 def print_held_out(looks: Looks) -> None:
     """How often a layer that is fitted to the other pictures is right about those held out."""
     out = np.random.default_rng(0).random(looks.picture.max() + 1)[looks.picture] < HELD_OUT
-    weights, bias = fit(looks.rows(~out))
+    weights, biases = fit(looks.rows(~out))
     kept = looks.rows(out)
-    said = kept.features @ weights + bias
-    print(f"{'crops held out':16s} {'hands':>6s} {'passed':>7s} {'others':>7s} {'refused':>8s}")
+    said, left = (kept.features @ weights.T + biases).T
+    right = (left > 0) == (kept.shown == LEFT)
+    print(f"{'crops held out':16s} {'hands':>6s} {'passed':>7s} {'side':>7s} {'others':>7s} {'refused':>8s}")
     for kind in dict.fromkeys(kept.kind.tolist()):
         hands, others = ((kept.kind == kind) & (kept.shown != NOTHING), (kept.kind == kind) & (kept.shown == NOTHING))
-        shares = [f"{100 * part.mean():.1f} %" if len(part) else "-" for part in (said[hands] > 0, said[others] < 0)]
-        print(f"{kind:16s} {hands.sum():6d} {shares[0]:>7s} {others.sum():7d} {shares[1]:>8s}")
+        parts = (said[hands] > 0, right[hands], said[others] < 0)
+        passed, sides, refused = (f"{100 * part.mean():.1f} %" if len(part) else "-" for part in parts)
+        print(f"{kind:16s} {hands.sum():6d} {passed:>7s} {sides:>7s} {others.sum():7d} {refused:>8s}")
 
 
 def counted(looks: Looks) -> dict[str, int]:
@@ -307,14 +317,14 @@ def load(paths: Sequence[Path]) -> Looks:
     return Looks(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
 
-def write(preset: Path, network: HandCheck, weights: np.ndarray, bias: float, note: dict) -> None:
+def write(preset: Path, network: HandCheck, weights: np.ndarray, biases: np.ndarray, note: dict) -> None:
     """Puts the network and its section of the card into the folder of the second pose networks."""
     card = read_card(preset)
     if not card.second:
         raise InputError(f"{preset}: its card names no second pose networks, beside which HandCheck could be")
     with torch.no_grad():
-        network.head.weight.copy_(torch.from_numpy(weights[None]))
-        network.head.bias.fill_(bias)
+        network.head.weight.copy_(torch.from_numpy(weights))
+        network.head.bias.copy_(torch.from_numpy(biases))
     folder = second_folder(preset, card)
     said = json.loads((folder / "card.json").read_text(encoding="utf-8"))
     said[HAND_CHECK] = {"crop_size": network.config.crop_size, "crop_margin": MARGIN, **note}

@@ -1,13 +1,13 @@
 """Fits the decision which hands are there, and whose (`inference.handedness`), to a preset's networks (extras `synth`,
 `datasets`).
 
-    python scripts/fit_handedness.py src/twohands/weights/fast --frames PEOPLE WILD PAPER --backgrounds PHOTOS PANORAMAS
-        --digits ../shared/data/real_train/digits --cache out/fast_evidence.npz
+    python scripts/fit_handedness.py src/twohands/weights/fast --frames PEOPLE WILD PAPER --touching PEOPLE_2
+        --backgrounds PHOTOS PANORAMAS --digits ../shared/data/real_train/digits --cache out/fast_evidence.npz
 
-PEOPLE, WILD and PAPER are made by `twohands generate frames` with seeds that no network was trained on; of the digits,
-those for training are taken; of the photographs, `--photographs` without hands. Some frames also come as a part of
-them with an arm and no hand, and every other picture as a video's next one: moved a little, with the answer for the
-picture before it known.
+PEOPLE, WILD and PAPER are made by `twohands generate frames` with seeds that no network was trained on; of PEOPLE_2
+those are taken that show both hands near each other, of the digits those for training, of the photographs
+`--photographs` without hands. Some frames also come as a part of them with an arm and no hand, and every other picture
+as a video's next one: moved a little, with the answer for the picture before it known.
 
 With `--judges`, the pose networks of other weights look at the same candidates, too. Networks know the pictures that
 they learned from, and generated ones like them, better than anyone's camera: who trusts PoseNet2D as much as it is
@@ -55,8 +55,8 @@ from twohands.inference.handedness import (
     assign_handedness,
     first_features,
     last_features,
+    palm_distance,
     rescore,
-    weight_vector,
 )
 from twohands.inference.weights import preset_folder, read_card, weights_id, write_card
 from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
@@ -65,7 +65,6 @@ from twohands.types import HandSample, PinholeCamera
 if TYPE_CHECKING:
     from twohands.synth.backgrounds.base import Backgrounds
 
-Fitting = Callable[[Sequence["Seen"], DecisionConfig], DecisionConfig]
 RIGHTLY, WRONG_SIDE, INVENTED = 1, 2, 3
 """What a reported hand is: the true hand of its side, the other true hand, or none; 0 for one that is not reported."""
 NEAR: Final = 0.4
@@ -73,6 +72,9 @@ NEAR: Final = 0.4
 PENALTY: Final = 10.0
 """Of half the square of a weight times its feature's standard deviation; 1 and 30 are alike in pictures held out."""
 FOLDS: Final = 5
+TOUCHING: Final = 0.75
+"""Distance of their palms, in sides of the larger hand's box, below which two hands are near each other: people keep
+theirs apart in nine frames of ten, and who fits to these alone takes two that touch for one."""
 PHOTOGRAPH: Final = (640, 360)
 SAVED_EVERY: Final = 25
 HANDLESS_STEP: Final = 3
@@ -125,9 +127,6 @@ def main() -> int:
     parser.add_argument("--judges", nargs="*", default=[], help="weights folders or presets: see above")
     add_picture_options(parser, count=1000, digits=150, photographs=100)
     parser.add_argument("--cache", type=Path, required=True, help="file of evidence; read where it is there")
-    parser.add_argument(
-        "--check-alone", action="store_true", help="leave all as the card has it but HandCheck's weights"
-    )
     parser.add_argument("--dry-run", action="store_true", help="leave the card alone")
     options = parser.parse_args()
     try:
@@ -139,9 +138,8 @@ def main() -> int:
         identity = "+".join(weights_id(folder, read_card(folder)) for folder in folders)
         pictures = gathered(options, "+".join([identity, *map(views_id, folders)]))
         config = card.decision
-        fitting = fit_check if options.check_alone else fit
-        summary = cross_validated(pictures, config, fitting)
-        fitted = fitting(pictures, config)
+        summary = cross_validated(pictures, config)
+        fitted = fit(pictures, config)
         kinds = {kind: sum(one.kind == kind for one in pictures) for kind in dict.fromkeys(p.kind for p in pictures)}
         fitted = replace(fitted, fit={"weights": identity, "pictures": kinds, "penalty": PENALTY, **summary})
         if not options.dry_run:
@@ -189,6 +187,7 @@ def gathered(options: argparse.Namespace, identity: str) -> list[Seen]:
 def add_picture_options(parser: argparse.ArgumentParser, *, count: int, digits: int, photographs: int) -> None:
     """What `planned` reads, with how many pictures of each kind there are at most."""
     parser.add_argument("--frames", type=Path, nargs="*", default=[], help="folders of cached frames")
+    parser.add_argument("--touching", type=Path, nargs="*", default=[], help="others, for hands near each other alone")
     parser.add_argument("--count", type=int, default=count, help="of pictures of every folder, at most")
     parser.add_argument("--digits", type=Path, help="folder of photographed digits")
     parser.add_argument("--digits-count", type=int, default=digits)
@@ -216,6 +215,10 @@ def planned(options: argparse.Namespace) -> list[tuple[str, Callable[[], HandSam
         plan += [(folder.name, partial(cache.__getitem__, i)) for i in range(count)]
         parts = [part_without_hands(cache[i], np.random.default_rng(i)) for i in range(0, count, HANDLESS_STEP)]
         plan += [(f"{folder.name}, no hand", partial(_same, part)) for part in parts if not np.any(part.present)]
+    for folder in options.touching:
+        cache = FrameCache(folder, behind)
+        together = [i for i in range(len(cache)) if near(cache[i])]
+        plan += [(f"{folder.name}, touching", partial(cache.__getitem__, i)) for i in together]
     if options.digits is not None:
         digits = Digits(options.digits, "training")
         numbers = np.linspace(0, len(digits) - 1, min(options.digits_count, len(digits))).astype(int)
@@ -226,6 +229,12 @@ def planned(options: argparse.Namespace) -> list[tuple[str, Callable[[], HandSam
     if not plan:
         raise InputError("no pictures: name --frames, --digits or --backgrounds")
     return [plan[i] for i in np.random.default_rng(options.seed).permutation(len(plan))]
+
+
+def near(sample: HandSample) -> bool:
+    """Whether both hands are there, with their palms near each other (`TOUCHING`)."""
+    boxes_px = np.asarray(box_from_points(sample.joints_px))
+    return bool(np.all(sample.present)) and palm_distance(sample.joints_px, boxes_px) < TOUCHING
 
 
 def _same(sample: HandSample) -> HandSample:
@@ -346,13 +355,6 @@ def fit(pictures: Sequence[Seen], config: DecisionConfig) -> DecisionConfig:
     return fitted_last(known, fitted_first(known, config))
 
 
-def fit_check(pictures: Sequence[Seen], config: DecisionConfig) -> DecisionConfig:
-    """The weights of what HandCheck says alone, likewise; all others stay."""
-    free = tuple(LAST_FEATURES.index(name) for name in ("check_short", "check_unseen"))
-    alone = fitted_last([(one, None) for one in pictures], config, free)
-    return fitted_last(with_before(pictures, alone), config, free)
-
-
 def with_before(pictures: Sequence[Seen], config: DecisionConfig) -> list[tuple[Seen, Before | None]]:
     """Every picture with nothing known, and those that follow another one also with what was said of that."""
     answers = {one.earlier: answered(pictures[one.earlier], None, config) for one in pictures if one.earlier >= 0}
@@ -388,18 +390,15 @@ def fitted_first(known: Sequence[tuple[Seen, Before | None]], config: DecisionCo
     return replace(config, first=named(likeliest(Choices(np.array(features), np.array(right))), FIRST_FEATURES))
 
 
-def fitted_last(
-    known: Sequence[tuple[Seen, Before | None]], config: DecisionConfig, free: Sequence[int] | None = None
-) -> DecisionConfig:
-    """With the weights of the last decision, after the first one; `free` as of `likeliest`."""
+def fitted_last(known: Sequence[tuple[Seen, Before | None]], config: DecisionConfig) -> DecisionConfig:
+    """With the weights of the last decision, after the first one."""
     features, right = [], []
     for one, before in known:
         assignment = assign_handedness(replace(one.evidence, before=before), config)
         answer = ANSWERS.index((int(assignment.source[LEFT]), int(assignment.source[RIGHT])))
         features.append(last_features(look_of(one, answer, assignment)))
         right.append((np.array(KEPT) == (one.outcome[answer] == RIGHTLY)).all(axis=1))
-    choices, given = Choices(np.array(features), np.array(right)), weight_vector(config.last, LAST_FEATURES)
-    return replace(config, last=named(likeliest(choices, given, free), LAST_FEATURES))
+    return replace(config, last=named(likeliest(Choices(np.array(features), np.array(right))), LAST_FEATURES))
 
 
 def right_answers(outcome: np.ndarray, possible: np.ndarray) -> np.ndarray:
@@ -410,14 +409,8 @@ def right_answers(outcome: np.ndarray, possible: np.ndarray) -> np.ndarray:
     return count == count.max()
 
 
-def likeliest(choices: Choices, given: np.ndarray | None = None, free: Sequence[int] | None = None) -> np.ndarray:
-    """(F,) weights of the largest penalised likelihood that one of the right answers is the answer.
-
-    Args:
-        choices: of the pictures.
-        given: (F,) weights of features that are not `free`.
-        free: features whose weights are found; None for all.
-    """
+def likeliest(choices: Choices) -> np.ndarray:
+    """(F,) weights of the largest penalised likelihood that one of the right answers is the answer."""
     possible = np.isfinite(choices.features[..., 0])
     open_ones = possible.sum(axis=1) > 1
     features, right, possible = choices.features[open_ones], choices.right[open_ones], possible[open_ones]
@@ -425,11 +418,7 @@ def likeliest(choices: Choices, given: np.ndarray | None = None, free: Sequence[
         raise InputError("no picture with a candidate: there is nothing to fit")
     spread = np.maximum(features[possible].std(axis=0), 1e-9)
     features = np.where(possible[..., None], features, 0.0) / spread
-    chosen = np.arange(len(spread)) if free is None else np.array(free)
-    answer = np.zeros(len(spread)) if given is None else np.array(given)
-    answer[chosen] = 0.0
-    offset = np.where(possible, 0.0, -np.inf) + features @ (answer * spread)
-    features = features[..., chosen]
+    offset = np.where(possible, 0.0, -np.inf)
 
     def loss(weights: np.ndarray) -> tuple[float, np.ndarray]:
         scores = features @ weights + offset
@@ -440,8 +429,7 @@ def likeliest(choices: Choices, given: np.ndarray | None = None, free: Sequence[
         return value, np.einsum("na,naf->f", pull, features) + PENALTY * weights
 
     found = minimize(loss, np.zeros(features.shape[-1]), jac=True, method="L-BFGS-B", options={"maxiter": 2000})
-    answer[chosen] = found.x / spread[chosen]
-    return answer
+    return found.x / spread
 
 
 def named(weights: np.ndarray, names: Sequence[str]) -> dict[str, float]:
@@ -449,7 +437,7 @@ def named(weights: np.ndarray, names: Sequence[str]) -> dict[str, float]:
     return {name: round(float(weight), 4) for name, weight in zip(names, weights, strict=True)}
 
 
-def cross_validated(pictures: Sequence[Seen], config: DecisionConfig, fitting: Fitting = fit) -> dict[str, object]:
+def cross_validated(pictures: Sequence[Seen], config: DecisionConfig) -> dict[str, object]:
     """Prints errors by kind and a reliability table, every scene by weights fitted to other scenes; a summary."""
     rows: dict[str, np.ndarray] = {}
     chances: list[tuple[float, bool]] = []
@@ -459,7 +447,7 @@ def cross_validated(pictures: Sequence[Seen], config: DecisionConfig, fitting: F
         outside = [one for one in pictures if one.scene % FOLDS != fold]
         if not inside or not outside:
             continue
-        fitted = fitting(renumbered(outside), config)
+        fitted = fit(renumbered(outside), config)
         for one, before in with_before(renumbered(inside), fitted):
             answer, kept, logits = answered(one, before, fitted)
             outcome = np.where(kept, one.outcome[answer], 0)
@@ -584,7 +572,7 @@ def _picture(row: dict[str, np.ndarray]) -> Seen:
     together = (None, None) if np.isnan(row["merged_pose"]).any() else (row["merged_pose"], row["merged_joints"])
     size = int(row["image_size"][0]), int(row["image_size"][1])
     distance = float(row["palm_distance"])
-    checks = row["check"], float(row["merged_check"])
+    checks = row["check"], row["merged_check"]
     evidence = Evidence(size, row["boxes_px"], maps, row["pose"], row["joints"], *together, distance, None, *checks)
     numbers = row["last"], row["distance"], row["answer_boxes_px"], row["outcome"], int(row["earlier"])
     return Seen(str(row["kind"]), int(row["scene"]), row["present"], evidence, *numbers)

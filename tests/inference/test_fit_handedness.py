@@ -14,12 +14,12 @@ from scripts.fit_handedness import (
     counted,
     cross_validated,
     fit,
-    fit_check,
     judged_by,
     likeliest,
     load,
     main,
     moved,
+    near,
     outcome_of,
     renumbered,
     right_answers,
@@ -36,6 +36,7 @@ from twohands.inference.decision import DecisionConfig
 from twohands.inference.estimator import HandEstimator
 from twohands.inference.handedness import ANSWERS, Before, Evidence, answer_scores, first_features, probabilities
 from twohands.inference.weights import read_card
+from twohands.skeleton import LEFT
 
 NO = np.nan
 
@@ -131,18 +132,27 @@ def test_a_fit_tells_sides_and_ghosts_and_what_it_says_is_as_often_true(capsys):
     assert fitted.first["pose_contrast"] + fitted.first["pose"] > 0 and fitted.last["first"] > 0
 
 
-def test_what_handcheck_says_is_fitted_alone_where_all_else_is_to_stay():
-    """The check passes what is right, and fails what is not: it is believed, and no other weight moves."""
+def test_what_handcheck_says_is_believed_where_it_is_right():
+    """It passes what is right, and fails what is not; it knows the side."""
     rng = np.random.default_rng(1)
     pictures = [judged_picture(rng, scene) for scene in range(200)]
     for i, one in enumerate(pictures):
-        check = np.where((one.outcome == RIGHTLY).any(), [4.0, NO], [-2.0, NO])
+        left = 4.0 if one.present[LEFT] else -4.0
+        check = np.array([[4.0, left] if (one.outcome == RIGHTLY).any() else [-2.0, 0.0], [NO, NO]])
         pictures[i] = one._replace(evidence=dataclasses.replace(one.evidence, check=check))
-    config = DecisionConfig(first={"pose": 0.7, "hand": -0.1}, last={"first": 0.5, "hand": 0.25})
-    fitted = fit_check(pictures, config)
-    assert fitted.first == config.first
-    assert (fitted.last["first"], fitted.last["hand"], fitted.last["pose"]) == (0.5, 0.25, 0.0)
-    assert fitted.last["check_short"] > 0.2
+    fitted = fit(pictures, DecisionConfig())
+    assert fitted.first["check"] > 0.2 and fitted.first["check_side"] > 0.2
+
+
+def test_hands_near_each_other_are_told_from_hands_apart():
+    """By their palms: a hand's width apart, and three."""
+    sample = drawn_hands(7)
+    size_px = np.ptp(sample.joints_px[LEFT], axis=0).max()
+    for widths, expected in ((0.4, True), (3.0, False)):
+        right = sample.joints_px[LEFT] + [widths * size_px, 0.0]
+        pair = dataclasses.replace(sample, joints_px=np.stack([sample.joints_px[LEFT], right]))
+        assert near(pair) is expected
+        assert not near(dataclasses.replace(pair, present=np.array([True, False])))
 
 
 def test_pictures_keep_what_came_before_them_when_some_are_left_out():

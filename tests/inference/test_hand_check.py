@@ -24,18 +24,19 @@ from twohands.export.onnx import export_network
 from twohands.geometry.boxes import upright_crop, warp_image
 from twohands.geometry.network_input import network_input
 from twohands.geometry.segmentation import HandBoxes
-from twohands.inference.decision import LAST_FEATURES
+from twohands.inference.decision import FIRST_FEATURES, LAST_FEATURES
 from twohands.inference.detection import Detection, HandFinder
 from twohands.inference.engine import load_networks
 from twohands.inference.hand_check import checked
-from twohands.inference.handedness import KEPT, LastLook, last_features
+from twohands.inference.handedness import ANSWERS, KEPT, LastLook, first_features, last_features
 from twohands.inference.weights import HAND_CHECK, read_card
 from twohands.models.checkpoint import load_network
 from twohands.models.hand_check import HandCheck, HandCheckConfig
 from twohands.skeleton import LEFT, RIGHT
 
 SAMPLE = drawn_hands(7)
-SAID = np.array([5.0, -3.0, 0.5])
+SAID = np.array([[5.0, 2.0], [-3.0, -1.0], [0.5, 4.0]])
+"""Of both candidates, and of both together: a hand, and a left one."""
 
 
 def located(oracle: Oracle, crops: list, hand_logit: float = 2.0) -> tuple[np.ndarray, np.ndarray]:
@@ -59,7 +60,7 @@ def finder(check, hand_logit: float = 2.0, **decision) -> tuple[HandFinder, Dete
 def test_it_sees_the_picture_as_it_is_around_the_joints():
     seen = []
     card = dataclasses.replace(make_card(), check_size=64, check_margin=1.4)
-    answer = checked(lambda batch: seen.append(batch) or SAID[:2, None], card, SAMPLE.image, SAMPLE.joints_px)
+    answer = checked(lambda batch: seen.append(batch) or SAID[:2], card, SAMPLE.image, SAMPLE.joints_px)
     np.testing.assert_array_equal(answer, SAID[:2])
     crops = [warp_image(SAMPLE.image, upright_crop(one, size=64, margin=1.4), 64) for one in SAMPLE.joints_px]
     np.testing.assert_array_equal(seen[0], network_input(np.stack(crops)))
@@ -106,12 +107,12 @@ def test_what_it_says_of_the_hands_of_an_answer():
     """Of exchanged candidates that of the other one, of two in one place that of both together where it is surer."""
     here, found = finder(lambda image, joints_px: SAID[: len(joints_px)])
     apart, _ = here.evidence(found, None)
-    np.testing.assert_allclose(apart.checks(np.array([1, 0])), SAID[[1, 0]])
-    np.testing.assert_allclose(apart.checks(np.array([-1, 1])), [np.nan, SAID[1]])
+    np.testing.assert_allclose(apart.checks(np.array([1, 0])), SAID[[1, 0], 0])
+    np.testing.assert_allclose(apart.checks(np.array([-1, 1])), [np.nan, SAID[1, 0]])
     here, found = finder(lambda image, joints_px: SAID[: len(joints_px)], same_place_iou=0.0)
     together, _ = here.evidence(found, None)
-    np.testing.assert_allclose(together.checks(np.array([0, -1])), [SAID[2], np.nan])
-    np.testing.assert_allclose(together.checks(np.array([0, 1])), [SAID[0], SAID[2]], err_msg="the surer word")
+    np.testing.assert_allclose(together.checks(np.array([0, -1])), [SAID[2, 0], np.nan])
+    np.testing.assert_allclose(together.checks(np.array([0, 1])), [SAID[0, 0], SAID[2, 0]], err_msg="the surer word")
 
 
 def test_what_it_says_is_weighed_in_the_last_decision_by_hand():
@@ -120,6 +121,24 @@ def test_what_it_says_is_weighed_in_the_last_decision_by_hand():
         look = LastLook(source, first, first, first, np.array([0.2, 0.2]), check=np.array(check))
         both = dict(zip(LAST_FEATURES, last_features(look)[KEPT.index((True, True))], strict=True))
         assert (both["check_short"], both["check_unseen"]) == expected
+
+
+def test_what_it_says_is_weighed_in_the_first_decision_by_hand():
+    """Of a left hand its word for a left one, of a right hand against it; of both together features of their own."""
+
+    def weighed(answer: tuple[int, int], **decision: float) -> dict[str, float]:
+        here, found = finder(lambda image, joints_px: SAID[: len(joints_px)], **decision)
+        rows = first_features(here.evidence(found, None)[0])
+        return dict(zip(FIRST_FEATURES, rows[ANSWERS.index(answer)], strict=True))
+
+    pair, swapped = weighed((0, 1)), weighed((1, 0))
+    assert (pair["check"], pair["check_side"], pair["check_unseen"]) == (5 - 3, 2 + 1, 0)
+    assert (swapped["check"], swapped["check_side"]) == (5 - 3, -1 - 2)
+    one = weighed((-1, 1), same_place_iou=0.0)
+    assert (one["merged_check"], one["merged_check_side"], one["check"]) == (0.5, -4, 0)
+    here, found = finder(None)
+    unseen = dict(zip(FIRST_FEATURES, first_features(here.evidence(found, None)[0])[5], strict=True))
+    assert (unseen["check"], unseen["check_side"], unseen["check_unseen"]) == (0, 0, 2)
 
 
 def test_crops_that_cannot_be_are_refused():
@@ -144,8 +163,8 @@ def test_a_fitted_layer_is_shipped_and_asked(preset, tmp_path):
     home = shutil.copytree(preset.parent, tmp_path / "weights") / preset.name
     torch.manual_seed(0)
     network, rng = HandCheck(HandCheckConfig(64)), np.random.default_rng(0)
-    weights, bias = rng.normal(size=1152), -2.0
-    write(home, network, weights, bias, {"crops": 5})
+    weights, biases = rng.normal(size=(2, 1152)), np.array([-2.0, 0.5])
+    write(home, network, weights, biases, {"crops": 5})
     card = read_card(home)
     second = load_networks(home, card).second
     assert second is not None and second.hand_check is not None
@@ -153,7 +172,7 @@ def test_a_fitted_layer_is_shipped_and_asked(preset, tmp_path):
     path = home.parent / "other" / f"{HAND_CHECK}.onnx"
     loaded, crops = load_network(HAND_CHECK, path), rng.uniform(-0.5, 0.5, (3, 3, 64, 64)).astype(np.float32)
     assert isinstance(loaded, HandCheck)
-    np.testing.assert_allclose(loaded.head.bias.detach(), bias)
+    np.testing.assert_allclose(loaded.head.bias.detach(), biases)
     with torch.no_grad():
         wanted = loaded(torch.from_numpy(crops)).numpy()
     np.testing.assert_allclose(second.hand_check(crops), wanted, atol=1e-3 * np.abs(wanted).max())
@@ -191,8 +210,18 @@ def test_hands_and_other_things_count_alike():
     shown = np.where(rng.random(20_000) < 0.1, NOTHING, rng.integers(0, 2, 20_000))
     values = np.where(shown == NOTHING, -1.0, 1.0) + rng.normal(size=len(shown))
     kinds, pictures = np.full(len(shown), "hands"), np.arange(len(shown))
-    weights, bias = fit(Looks(kinds, shown, pictures, values[:, None].astype(np.float32)))
-    assert weights[0] > 1.5 and abs(bias) < 0.2 * weights[0]
+    weights, biases = fit(Looks(kinds, shown, pictures, values[:, None].astype(np.float32)))
+    assert weights[0, 0] > 1.5 and abs(biases[0]) < 0.2 * weights[0, 0]
+
+
+def test_the_side_is_learnt_from_hands_alone():
+    """What shows no hand says nothing of sides, whatever it looks like."""
+    rng = np.random.default_rng(0)
+    shown = rng.integers(-1, 2, 9000)
+    values = np.select([shown == LEFT, shown == RIGHT], [1.0, -1.0], 5.0) + rng.normal(size=len(shown))
+    kinds, pictures = np.full(len(shown), "hands"), np.arange(len(shown))
+    weights, biases = fit(Looks(kinds, shown, pictures, values[:, None].astype(np.float32)))
+    np.testing.assert_allclose([weights[1, 0], biases[1]], [2.0, 0.0], atol=0.2)
 
 
 def test_every_place_of_a_picture_knows_what_it_shows():

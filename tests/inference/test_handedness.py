@@ -147,7 +147,7 @@ def test_features_of_a_hand_by_hand():
         "size": 0,
     }
     expected |= {"arm_outside": 0.5, "arm_below": 0.8, "arm_outside_below": 0.4, "outside": 0.3}
-    expected |= {"was_present": 1, "held": 1.0, "held_other": 0}
+    expected |= {"was_present": 1, "held": 1.0, "held_other": 0, "check_unseen": 1}
     assert of == pytest.approx(dict.fromkeys(FIRST_FEATURES, 0.0) | expected)
     assert np.isnan(rows[[i for i, source in enumerate(ANSWERS) if 1 in source]]).all()
     assert (rows[0] == 0).all()

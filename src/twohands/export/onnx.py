@@ -95,7 +95,7 @@ def export_network(
         name, model, inputs, outputs = "pose_net_3d", network, "heatmaps", ["canonical"]
     elif isinstance(network, HandCheck):
         shape = (2, 3, network.config.crop_size, network.config.crop_size)
-        name, model, inputs, outputs = "hand_check", network, "crop", ["hand_logit"]
+        name, model, inputs, outputs = "hand_check", network, "crop", ["logits"]
     else:
         raise InputError(f"cannot export a {type(network).__name__}")
     path = Path(path)

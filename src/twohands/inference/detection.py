@@ -246,16 +246,16 @@ class HandFinder:
         merged = self._merged(found) if box_iou(*boxes.boxes_px) >= rules.same_place_iou else None
         together = (None, None) if merged is None else (merged.hand_logits, merged.joint_scores.mean(axis=-1))
         doubtful = doubtful or merged is not None
-        checks = self._checked(seen, merged) if doubtful else np.full(3, np.nan)
+        checks = self._checked(seen, merged) if doubtful else np.full((3, 2), np.nan)
         maps = boxes.evidence or box_evidence(np.zeros((2, 1, 1)), np.zeros((3, 1, 1)), np.full((2, 4), np.nan), (1, 1))
-        said = {"check": checks[:2], "merged_check": float(checks[2])}
+        said = {"check": checks[:2], "merged_check": checks[2]}
         known = Evidence(self.size, boxes.boxes_px, maps, pose, joints, *together, distance, before, **said)
         return known, CandidateViews(alone, merged)
 
     def _checked(self, seen: Keypoints, merged: Keypoints | None) -> np.ndarray:
-        """(3,) HandCheck's log-odds that candidates 0 and 1 are hands, and both as the one for which they rather pass;
-        NaN for what there is not."""
-        said = np.full(3, np.nan)
+        """(3, 2) HandCheck's log-odds, as in `Evidence.check`, of candidates 0 and 1, and of both as the hand for which
+        they rather pass; NaN for what there is not."""
+        said = np.full((3, 2), np.nan)
         if self.stages.check is not None:
             rows, joints_px = [*seen.sides], [*seen.joints_px]
             if merged is not None:

@@ -34,7 +34,8 @@ class SecondNetworks:
     Attributes:
         card: of their own preset.
         pose_net_2d, pose_net_3d: as in `Networks`.
-        hand_check: (B, 3, S, S) -> (B, 1) log-odds that crops show a hand (`models.hand_check`); None without.
+        hand_check: (B, 3, S, S) -> (B, 2) log-odds that crops show a hand, and a left one (`models.hand_check`); None
+            without.
     """
 
     card: WeightsCard
@@ -185,7 +186,7 @@ def load_networks(folder: Path, card: WeightsCard, threads: int = 0) -> Networks
         used += others
         check = None
         if others_card.check_size:
-            network = compiled(other, others_card, HAND_CHECK, 3, 1)
+            network = compiled(other, others_card, HAND_CHECK, 3, 2)
             used.append(network)
             check = partial(_only_output, network)
         second = SecondNetworks(others_card, *_pose_functions(*others), check)

@@ -23,7 +23,7 @@ from twohands.inference.weights import WeightsCard
 from twohands.skeleton import LEFT, N_JOINTS, RIGHT
 from twohands.types import HandPose, TwoHandPose
 
-REST_FRAMES: Final = 1
+REST_FRAMES: Final = 2
 """For so many frames in a row HandSegNet may rest: the older the masks, the worse PoseNet2D's crops (docs/history/
 journal.md, *Hands followed without segmentation*)."""
 FARTHEST: Final = 0.08

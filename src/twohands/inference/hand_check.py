@@ -1,4 +1,4 @@
-"""What HandCheck says of candidates whose joints have been seen: whether they are hands."""
+"""What HandCheck says of candidates whose joints have been seen: whether they are hands, and whose."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from twohands.inference.weights import WeightsCard
 def checked(
     network: Callable[[np.ndarray], np.ndarray], card: WeightsCard, image: np.ndarray, joints_px: np.ndarray
 ) -> np.ndarray:
-    """Log-odds that candidates are hands.
+    """Log-odds that candidates are hands, and that they are left ones.
 
     Args:
         network: HandCheck.
@@ -23,8 +23,8 @@ def checked(
         joints_px: (B, 21, 2) pixels, where they were seen.
 
     Returns:
-        (B,).
+        (B, 2).
     """
     size = card.check_size
     crops = [warp_image(image, upright_crop(one, size=size, margin=card.check_margin), size) for one in joints_px]
-    return network(network_input(np.stack(crops)))[:, 0]
+    return network(network_input(np.stack(crops)))

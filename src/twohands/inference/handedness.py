@@ -79,8 +79,9 @@ class Evidence:
             LEFT or RIGHT hand (`geometry.segmentation.as_one_hand`); None where they are not.
         palm_distance: `palm_distance`, infinite for a candidate that is alone.
         before: the frame before; None where nothing is known.
-        check: (2,) HandCheck's log-odds that the candidates are hands; NaN where it did not look.
-        merged_check: the same of both together.
+        check: (candidate, 2) HandCheck's log-odds that the candidate is a hand, and that it is a LEFT one if it is a
+            hand; NaN where it did not look.
+        merged_check: (2,) the same of both together.
     """
 
     image_size: tuple[int, int]
@@ -92,17 +93,17 @@ class Evidence:
     merged_joints: np.ndarray | None = None
     palm_distance: float = math.inf
     before: Before | None = None
-    check: np.ndarray = field(default_factory=UNCHECKED.copy)
-    merged_check: float = math.nan
+    check: np.ndarray = field(default_factory=lambda: np.full((2, 2), np.nan))
+    merged_check: np.ndarray = field(default_factory=UNCHECKED.copy)
 
     def checks(self, source: np.ndarray) -> np.ndarray:
         """(2,) HandCheck's log-odds that the hands of an answer, `Assignment.source`, are hands; NaN for an absent one
         and where it did not look. Of two in one place a crop of either shows the other, too: what is said of both
         together counts where it is surer."""
-        said = self.check[source]
+        said = self.check[source, 0]
         if self.merged_pose is not None:
             alone = (source >= 0).sum() == 1
-            said = np.full(2, self.merged_check) if alone else np.fmax(said, self.merged_check)
+            said = np.full(2, self.merged_check[0]) if alone else np.fmax(said, self.merged_check[0])
         return np.where(source >= 0, said, np.nan)
 
 
@@ -192,7 +193,8 @@ def first_features(evidence: Evidence) -> np.ndarray:
     The features of an answer are the sums of those of its hands, and of the pair. Of a hand: 1 ("hand"); 1 if it is on
     the other side than HandSegNet says; HandSegNet's log-odds and lead for its side and for the other one, and the
     logarithm of the sides' shares in the box; PoseNet2D's log-odds, and by how much they are above those of the other
-    side, or 1 for "mirror_unseen" if nobody looked; the same of the joints' score; the logarithm of its size; from
+    side, or 1 for "mirror_unseen" if nobody looked; the same of the joints' score; HandCheck's log-odds that it is a
+    hand, and one of this side, or 1 for "check_unseen"; the logarithm of its size; from
     where the arm comes, and how far out in the picture it is, towards the hand's own side; and of the frame before
     whether the hand was there (1, -1, or 0 for unknown), and how surely it, or the other hand, was in this place. Where
     the candidates are in one place and only one hand is there, it is both together, with features of its own. Of the
@@ -302,6 +304,8 @@ def _of_hand(evidence: Evidence, side: int, candidate: int) -> dict[str, float]:
         "mirror_unseen": float(unseen),
         "joints": joints[side] - _USUAL_SCORE,
         "joints_contrast": 0.0 if unseen else joints[side] - joints[other],
+        **_of_check(evidence.check[candidate], side, "check"),
+        "check_unseen": float(np.isnan(evidence.check[candidate, 0])),
         "size": _log_size(box_sizes(box_px[None], evidence.image_size)[0]),
         "arm_outside": float(np.clip(arm_outside, -2, 2)),
         "arm_below": float(np.clip(arm_below, -2, 2)),
@@ -325,8 +329,15 @@ def _of_merged(evidence: Evidence, side: int) -> dict[str, float]:
         "merged_pose_contrast": _limited(pose[side]) - _limited(pose[other]),
         "merged_joints": joints[side] - _USUAL_SCORE,
         "merged_size": _log_size(box_sizes(box_px[None], evidence.image_size)[0]),
+        **_of_check(evidence.merged_check, side, "merged_check"),
         **_of_before(evidence.before, side, box_px),
     }
+
+
+def _of_check(check: np.ndarray, side: int, name: str) -> dict[str, float]:
+    """What HandCheck's log-odds (2,) say of a hand of a side; nothing where it did not look."""
+    hand, left = np.nan_to_num(check)
+    return {name: _limited(hand), f"{name}_side": _limited(left if side == LEFT else -left)}
 
 
 def _of_before(before: Before | None, side: int, box_px: np.ndarray) -> dict[str, float]:

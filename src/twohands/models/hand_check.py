@@ -1,4 +1,4 @@
-"""HandCheck: whether a crop shows a hand, by an encoder that has seen real hands.
+"""HandCheck: whether a crop shows a hand, and which, by an encoder that has seen real hands.
 
 Ours. PoseNet2D's judge learns from renderings and a few people's photographed hands; what it has never met, a chair's
 arm or a leaf, it may take for one. The encoder of MediaPipe Hands knows what hands are not. It stays as published; one
@@ -35,11 +35,11 @@ class HandCheck(nn.Module):
         super().__init__()
         self.config = config
         self.encoder = EfficientNet(HANDS)
-        self.head = nn.Linear(self.encoder.channels[-1], 1)
+        self.head = nn.Linear(self.encoder.channels[-1], 2)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Log-odds (B, 1) that crops (B, 3, S, S) show a hand: normalised, (uint8 - 128) / 256, fingers up
-        (`geometry.boxes.upright_crop`), neither mirrored nor dimmed."""
+        """Log-odds (B, 2) that crops (B, 3, S, S) show a hand, and that it is a left one if they do: normalised,
+        (uint8 - 128) / 256, fingers up (`geometry.boxes.upright_crop`), neither mirrored nor dimmed."""
         return self.head(self.features(x))
 
     def features(self, x: Tensor) -> Tensor:
