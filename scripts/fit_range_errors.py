@@ -76,6 +76,7 @@ def main() -> int:
     parser.add_argument("--data", type=Path, nargs="+", required=True, help="folders of labelled pictures or of frames")
     parser.add_argument("--backgrounds", nargs="+", help="of frames; invented ones if not given")
     parser.add_argument("--count", type=int, help="pictures of a set; all if not given")
+    parser.add_argument("--sigma-alone", action="store_true", help="leave all but `range_sigma` as the card has it")
     parser.add_argument("--write", action="store_true", help="put the numbers on the preset's card")
     options = parser.parse_args()
     try:
@@ -86,12 +87,9 @@ def main() -> int:
             found_in(estimator, itertools.islice(samples_of(folder, options.backgrounds), options.count))
             for folder in options.data
         ]
-        usual = usual_ranges(sets)
-        errors = fitted([one for found in sets for one in found], usual)
-        config = dataclasses.replace(usual, range_errors=errors)
+        config = shipped.card.placement if options.sigma_alone else fitted_ranges(sets)
         off = [said_errors(found, config) for found in sets]
-        sigma = fitted_sigma(off)
-        config = dataclasses.replace(config, range_sigma=sigma)
+        config = dataclasses.replace(config, range_sigma=fitted_sigma(off))
         said = {name: np.round(getattr(config, name), 3).tolist() for name in FITTED}
         print(json.dumps(said))
         for folder, found, one in zip(options.data, sets, off, strict=True):
@@ -175,6 +173,12 @@ def usual_ranges(sets: Sequence[Sequence[Ranges]]) -> PlacementConfig:
     together = [np.prod(off, axis=1).mean() for off in pairs if off]
     config = PlacementConfig(usual_range_m=float(np.exp(mean)), usual_spread=float(np.sqrt(variance)))
     return dataclasses.replace(config, correlation=float(np.mean(together) / variance)) if together else config
+
+
+def fitted_ranges(sets: Sequence[Sequence[Ranges]]) -> PlacementConfig:
+    """What is usual, and how far estimated ranges are off."""
+    usual = usual_ranges(sets)
+    return dataclasses.replace(usual, range_errors=fitted([one for found in sets for one in found], usual))
 
 
 def fitted(found: Sequence[Ranges], usual: PlacementConfig) -> tuple[float, float]:
