@@ -25,7 +25,7 @@ from twohands.types import HandPose, TwoHandPose
 
 REST_FRAMES: Final = 2
 """For so many frames in a row HandSegNet may rest: the older the masks, the worse PoseNet2D's crops (docs/history/
-journal.md, *Hands followed without segmentation*)."""
+journal.md, *Two frames of rest*)."""
 FARTHEST: Final = 0.08
 """How far, as a share of the hand's size, its joints may lie on average from where they were expected; farther, and
 HandSegNet looks (docs/history/journal.md, *What segmentation at rest cost*)."""
