@@ -41,6 +41,7 @@ from twohands.datasets.digits import Digits
 from twohands.errors import InputError, TwoHandsError
 from twohands.files import write_whole
 from twohands.geometry.boxes import apply_homography, box_from_points
+from twohands.geometry.camera import project
 from twohands.geometry.segmentation import BoxEvidence
 from twohands.inference.decision import FIRST_FEATURES, LAST_FEATURES, DecisionConfig
 from twohands.inference.detection import Detection, HandFinder
@@ -217,8 +218,9 @@ def planned(options: argparse.Namespace) -> list[tuple[str, Callable[[], HandSam
         plan += [(f"{folder.name}, no hand", partial(_same, part)) for part in parts if not np.any(part.present)]
     for folder in options.touching:
         cache = FrameCache(folder, behind)
-        together = [i for i in range(len(cache)) if near(cache[i])]
-        plan += [(f"{folder.name}, touching", partial(cache.__getitem__, i)) for i in together]
+        stored = map(cache.stored, range(len(cache)))  # without background: this takes no time
+        together = [near(frame.present, project(frame.joints_m[:, 1:], camera)) for frame, camera in stored]
+        plan += [(f"{folder.name}, touching", partial(cache.__getitem__, i)) for i in np.flatnonzero(together).tolist()]
     if options.digits is not None:
         digits = Digits(options.digits, "training")
         numbers = np.linspace(0, len(digits) - 1, min(options.digits_count, len(digits))).astype(int)
@@ -231,10 +233,10 @@ def planned(options: argparse.Namespace) -> list[tuple[str, Callable[[], HandSam
     return [plan[i] for i in np.random.default_rng(options.seed).permutation(len(plan))]
 
 
-def near(sample: HandSample) -> bool:
-    """Whether both hands are there, with their palms near each other (`TOUCHING`)."""
-    boxes_px = np.asarray(box_from_points(sample.joints_px))
-    return bool(np.all(sample.present)) and palm_distance(sample.joints_px, boxes_px) < TOUCHING
+def near(present: np.ndarray, joints_px: np.ndarray) -> bool:
+    """Whether both hands, (2,) bool, are there, with the palms of their joints (2, 21, 2) near each other
+    (`TOUCHING`)."""
+    return bool(present.all()) and palm_distance(joints_px, np.asarray(box_from_points(joints_px))) < TOUCHING
 
 
 def _same(sample: HandSample) -> HandSample:

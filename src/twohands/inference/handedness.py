@@ -94,7 +94,7 @@ class Evidence:
     palm_distance: float = math.inf
     before: Before | None = None
     check: np.ndarray = field(default_factory=lambda: np.full((2, 2), np.nan))
-    merged_check: np.ndarray = field(default_factory=UNCHECKED.copy)
+    merged_check: np.ndarray = field(default_factory=lambda: np.full(2, np.nan))
 
     def checks(self, source: np.ndarray) -> np.ndarray:
         """(2,) HandCheck's log-odds that the hands of an answer, `Assignment.source`, are hands; NaN for an absent one
