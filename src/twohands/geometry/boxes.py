@@ -46,6 +46,10 @@ def box_from_points(points_px: Array, valid: Array | None = None) -> Array:
         (..., 4) u0, v0, u1, v1 in pixels; NaN where no point is left.
     """
     xp, points = float_arrays(points_px)
+    if valid is None:
+        box = xp.concat([xp.min(points, axis=-2), xp.max(points, axis=-2)], axis=-1)
+        if xp.all(xp.isfinite(box)):  # all points are: nothing is left out
+            return box
     counted = xp.all(xp.isfinite(points), axis=-1)
     if valid is not None:
         counted = counted & xp.astype(valid, xp.bool)

@@ -139,14 +139,32 @@ def moved_masks(trail: Trail, expected_px: np.ndarray) -> np.ndarray:
         return np.zeros((1, 1), np.uint8)
     step = -(-max(trail.seen.crop_masks.shape) // _MOST_CELLS)
     before = np.ascontiguousarray(trail.seen.crop_masks[::step, ::step])
-    size, masks = (before.shape[1], before.shape[0]), np.zeros_like(before)
+    masks = np.zeros_like(before)
     for side, hand in enumerate(trail.seen.hands):
         joints = _joints(hand)
         if np.isfinite(joints).all() and np.isfinite(expected_px[side]).all():
-            own = ((before == 1 + side) | (before == 1 + side + UNCERTAIN)).astype(np.uint8)
-            place = similarity(joints / step, expected_px[side] / step)
-            masks[cv2.warpAffine(own, place, size, flags=cv2.INTER_NEAREST) > 0] = 1 + side
+            own = np.zeros(256, np.uint8)
+            own[[1 + side, 1 + side + UNCERTAIN]] = 1 + side
+            _move(cv2.LUT(before, own), similarity(joints / step, expected_px[side] / step), masks)
     return masks
+
+
+def _move(mask: np.ndarray, place: np.ndarray, masks: np.ndarray) -> None:
+    """Puts a mask (h, w), moved by a matrix (2, 3), over masks of the same size, in place. Only the part that it covers
+    is touched: hands are small."""
+    left, top, width, height = cv2.boundingRect(mask)
+    corners = np.array([[left, top, 1], [left + width, top, 1], [left, top + height, 1], [left + width, top + height, 1]])
+    moved = corners @ place.T
+    low = np.maximum(np.floor(moved.min(axis=0)).astype(int), 0)
+    high = np.minimum(np.ceil(moved.max(axis=0)).astype(int) + 1, masks.shape[::-1])
+    if not width or (high <= low).any():
+        return
+    own = place.copy()
+    own[:, 2] += place[:, :2] @ (left, top) - low
+    part = mask[top : top + height, left : left + width]
+    part = cv2.warpAffine(part, own, (high - low).tolist(), flags=cv2.INTER_NEAREST)
+    covered = masks[low[1] : high[1], low[0] : high[0]]
+    np.copyto(covered, part, where=part > 0)
 
 
 def similarity(points: np.ndarray, moved: np.ndarray) -> np.ndarray:

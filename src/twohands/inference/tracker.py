@@ -102,16 +102,16 @@ def polynomial_weights(times: np.ndarray, degree: int, at: np.ndarray | float, f
     times, at = np.asarray(times, np.float64), np.asarray(at, np.float64)
     if times.ndim != 1 or not np.isfinite(times).all() or not np.isfinite(at).all():
         raise InputError(f"polynomial regression: finite times of shape (N,) expected, got shape {times.shape}")
-    if not 0 <= degree < len(np.unique(times)):
-        raise InputError(
-            f"polynomial regression: degree {degree} needs {degree + 1} different times, got {len(np.unique(times))}"
-        )
-    middle, half = (times.max() + times.min()) / 2, (times.max() - times.min()) / 2 or 1.0
-    basis = legendre.legvander((times - middle) / half, degree)  # (N, degree + 1)
-    counts = fade ** (np.arange(len(times))[::-1] / 2)
-    fit = np.linalg.pinv(counts[:, None] * basis) * counts  # values -> coefficients
-    weights = legendre.legvander((np.atleast_1d(at) - middle) / half, degree) @ fit
-    return weights.reshape(*at.shape, len(times))
+    count, different = len(times), len(set(times.tolist()))
+    if not 0 <= degree < different:
+        raise InputError(f"polynomial regression: degree {degree} needs {degree + 1} different times, got {different}")
+    low, high = times.min(), times.max()
+    middle, half = (high + low) / 2, (high - low) / 2 or 1.0
+    basis = legendre.legvander((np.concatenate([times, at.ravel()]) - middle) / half, degree)  # (N + ..., degree + 1)
+    counts = fade ** (np.arange(count)[::-1] / 2)
+    orthogonal, triangle = np.linalg.qr(counts[:, None] * basis[:count])
+    weights = basis[count:] @ np.linalg.solve(triangle, orthogonal.T) * counts
+    return weights.reshape(*at.shape, count)
 
 
 def polynomial_value(

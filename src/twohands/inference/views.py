@@ -60,10 +60,13 @@ class HandViewer:
         """
         views, best, poses = self.card.views, keypoints, canonical.copy()
         turns = [len(self.stages.of_pair(crop.pair).card.views.turns_deg) > 0 for crop in keypoints.crops]
-        seen = self._in_sight(keypoints) & turns
         least = _sureness(keypoints) + views.turn_lead
+        doubtful = turns & (_sureness(keypoints) < views.turn_below_score)
+        if not doubtful.any():
+            return keypoints, canonical
+        doubtful &= self._in_sight(keypoints)
         for degrees in views.turns_deg:
-            rows = np.flatnonzero(seen & (_sureness(best) < views.turn_below_score))
+            rows = np.flatnonzero(doubtful & (_sureness(best) < views.turn_below_score))
             if not len(rows):
                 break
             first = keypoints.rows(rows)
@@ -88,8 +91,8 @@ class HandViewer:
             mean scores and of how well the views agree (`agreement`), and the mean canonical pose.
         """
         views = self.card.views
-        rows = np.flatnonzero(self._in_sight(keypoints))
-        if not (len(rows) and views.tta_rolls_deg):
+        rows = np.flatnonzero(self._in_sight(keypoints)) if views.tta_rolls_deg else np.zeros(0, int)
+        if not len(rows):
             return keypoints, canonical
         first = keypoints.rows(rows)
         seen = [(first, canonical[rows]), *(self._rolled(first, degrees) for degrees in views.tta_rolls_deg)]
