@@ -99,8 +99,8 @@ def letterbox(image: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, Let
 
 
 def _halved(image: np.ndarray, rows: int, columns: int) -> np.ndarray:
-    """A picture (H, W, 3), halved while it is twice the given size or more: means over areas that are no whole number of
-    pixels take six times as long as those over four."""
+    """A picture (H, W, 3), halved while it is twice the given size or more: means over areas that are no whole number
+    of pixels take six times as long as those over four."""
     while min(image.shape[0] / rows, image.shape[1] / columns) >= 2:
         image = cv2.resize(image, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA)
     return image

@@ -150,10 +150,12 @@ def moved_masks(trail: Trail, expected_px: np.ndarray) -> np.ndarray:
 
 
 def _move(mask: np.ndarray, place: np.ndarray, masks: np.ndarray) -> None:
-    """Puts a mask (h, w), moved by a matrix (2, 3), over masks of the same size, in place. Only the part that it covers
-    is touched: hands are small."""
+    """Puts a mask (h, w), moved by a matrix (2, 3), over masks of the same size, in place. Only the part that it
+    covers is touched: hands are small."""
     left, top, width, height = cv2.boundingRect(mask)
-    corners = np.array([[left, top, 1], [left + width, top, 1], [left, top + height, 1], [left + width, top + height, 1]])
+    corners = np.array(
+        [[left, top, 1], [left + width, top, 1], [left, top + height, 1], [left + width, top + height, 1]]
+    )
     moved = corners @ place.T
     low = np.maximum(np.floor(moved.min(axis=0)).astype(int), 0)
     high = np.minimum(np.ceil(moved.max(axis=0)).astype(int) + 1, masks.shape[::-1])

@@ -168,7 +168,7 @@ class PretrainedEncoderDecoder(nn.Module):
         layout: the encoder's.
         palm: whether a `PalmEncoder` sees the picture as well. What it says is added where the encoder's levels come
             in; fresh, it changes nothing.
-        slim: whether there are `SLIM_CHANNELS` and one residual block at stride 4, where most cells are, instead of two.
+        slim: whether there are `SLIM_CHANNELS` and one residual block instead of two at stride 4, where most cells are.
     """
 
     def __init__(

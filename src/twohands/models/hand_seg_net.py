@@ -113,9 +113,7 @@ class HandSegNet(nn.Module):
         elif config.variant == "encoder-decoder":
             self.net = EncoderDecoder(MAPS, config.width, finest=2)
         else:
-            self.net = PretrainedEncoderDecoder(
-                MAPS, config.width, config.context, palm=config.palm, slim=config.slim
-            )
+            self.net = PretrainedEncoderDecoder(MAPS, config.width, config.context, palm=config.palm, slim=config.slim)
         initialise(self)
         for layer in self.modules():
             if isinstance(layer, nn.Conv2d) and layer.out_channels == MAPS:

@@ -158,6 +158,8 @@ class LossConfig:
 
     def __post_init__(self) -> None:
         _check_choices(self)
+        if not 0 <= self.taught <= 1:
+            raise InputError(f"loss.taught must lie in [0, 1], got {self.taught}")
 
 
 @dataclass(frozen=True)

@@ -132,7 +132,9 @@ def _with_free_settings(found: Any, asked: Any) -> Any:
     if isinstance(found, HandSegNetConfig) and isinstance(asked, HandSegNetConfig):
         context = max(found.context, asked.context)
         size = {"height": asked.height, "width_px": asked.width_px}
-        return dataclasses.replace(found, **size, context=context, palm=found.palm or asked.palm, slim=found.slim or asked.slim)
+        return dataclasses.replace(
+            found, **size, context=context, palm=found.palm or asked.palm, slim=found.slim or asked.slim
+        )
     if isinstance(found, PoseNet2DConfig) and isinstance(asked, PoseNet2DConfig):
         return dataclasses.replace(
             found, crop_size=asked.crop_size, judge=found.judge or asked.judge, cues=max(found.cues, asked.cues)
