@@ -57,7 +57,7 @@ class SegmentationStage(Stage):
 
     @torch.no_grad()
     def _taught(self, teacher: HandSegNet, image: Tensor, classes: Tensor, energy: Tensor) -> tuple[Tensor, Tensor]:
-        """Targets that are partly a teacher's answer: probabilities (B, 3, H, W) of the classes, energies (B, 2, H, W)."""
+        """Targets that are partly a teacher's answer: classes, as probabilities (B, 3, H, W), and energies."""
         says, says_energy = teacher.to(image.device)(image)
         share = self.config.loss.taught
         labels = functional.one_hot(classes, CLASSES).permute(0, 3, 1, 2).float()
