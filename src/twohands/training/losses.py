@@ -80,7 +80,7 @@ def segmentation_loss(logits: Tensor, classes: Tensor, weight: Tensor | None = N
 
     Args:
         logits: (B, 3, H, W).
-        classes: (B, H, W) int64, or their probabilities (B, 3, H, W).
+        classes: (B, H, W) int64.
         weight: (B, H, W); None lets all pixels count alike.
 
     Source: paper section 4.1 and supplement; the weights are ours.

@@ -22,9 +22,6 @@ from twohands.training.pose_stages import Pose2DStage, Pose3DStage
 from twohands.training.segmentation_stage import SegmentationStage
 from twohands.training.stage import Stage
 
-FINEST_LAYERS = ("net.skip.2.", "net.lateral.2.", "net.up.2.", "net.head.")
-"""Names of HandSegNet's layers at stride 4, as they begin."""
-
 
 def build_stage(config: TrainConfig, weights: Sequence[Path] = (), *, require_weights: bool = True) -> Stage:
     """The stage of a run, with fresh or given weights.
@@ -58,8 +55,6 @@ def build_stage(config: TrainConfig, weights: Sequence[Path] = (), *, require_we
         prepare_palm(network, config, fresh=require_weights and not getattr(filled.get(name), "palm", False))
     if require_weights and config.stage == "pose_net_3d" and "pose_net_2d" not in filled:
         raise InputError("stage pose_net_3d needs the weights of a trained pose_net_2d (--weights FILE)")
-    for key, parameter in stage.named_parameters() if config.optim.finest_alone else ():
-        parameter.requires_grad_(key.removeprefix("net.").startswith(FINEST_LAYERS))
     if config.optim.frozen_norm:
         if require_weights and (fresh := known.keys() - filled):
             raise InputError(f"frozen_norm: {fresh.pop()} has no statistics to keep; give its weights (--weights FILE)")
@@ -109,8 +104,7 @@ def _fill(known: Mapping[str, nn.Module], path: Path) -> dict[str, Any]:
     checkpoint has.
 
     The pose networks may come without a judge and with fewer cues: the run's own stay fresh. HandSegNet may come from
-    pictures of another size, without context, and without the slim end that the run asks for; PoseNet2D from crops of
-    another size.
+    pictures of another size and without context, PoseNet2D from crops of another.
     """
     found = network_name(path)
     name = (
@@ -121,8 +115,6 @@ def _fill(known: Mapping[str, nn.Module], path: Path) -> dict[str, Any]:
     if _with_free_settings(found, asked) != asked:
         raise InputError(f"{path}: {name} has the shape {found}, but this run asks for {asked}")
     fresh, given = wanted.state_dict(), loaded.state_dict()
-    if getattr(asked, "slim", False) and not found.slim:
-        given = {key: values for key, values in given.items() if not key.startswith(FINEST_LAYERS)}
     wanted.load_state_dict(fresh | {key: _filled(fresh[key], values) for key, values in given.items()})
     return {name: loaded.config}
 
@@ -132,9 +124,7 @@ def _with_free_settings(found: Any, asked: Any) -> Any:
     if isinstance(found, HandSegNetConfig) and isinstance(asked, HandSegNetConfig):
         context = max(found.context, asked.context)
         size = {"height": asked.height, "width_px": asked.width_px}
-        return dataclasses.replace(
-            found, **size, context=context, palm=found.palm or asked.palm, slim=found.slim or asked.slim
-        )
+        return dataclasses.replace(found, **size, context=context, palm=found.palm or asked.palm)
     if isinstance(found, PoseNet2DConfig) and isinstance(asked, PoseNet2DConfig):
         return dataclasses.replace(
             found, crop_size=asked.crop_size, judge=found.judge or asked.judge, cues=max(found.cues, asked.cues)

@@ -39,7 +39,7 @@ class Movie:
         )
         nearest = Fraction(min(max(rate, 1.0), 240.0)).limit_denominator(1001)
         # On one thread: on several, the bytes would depend on the number of cores.
-        options = {"preset": "superfast", "crf": "23", "bf": "0", "threads": "1"}
+        options = {"preset": "ultrafast", "crf": "23", "bf": "0", "threads": "1"}
         self._stream: Any = self._container.add_stream("libx264", rate=nearest, options=options)
         self._stream.width, self._stream.height = width // 2 * 2, height // 2 * 2
         self._stream.pix_fmt = "yuv420p"
