@@ -91,19 +91,11 @@ def letterbox(image: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, Let
     if abs(scale_u / scale_v - 1) > STRETCH:
         rows, columns = max(1, round(image.shape[0] * scale)), max(1, round(image.shape[1] * scale))
     interpolation = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
-    resized = cv2.resize(_halved(image, rows, columns), (columns, rows), interpolation=interpolation)
+    resized = cv2.resize(image, (columns, rows), interpolation=interpolation)
     top, left = (height - rows) // 2, (width - columns) // 2
     canvas = np.full((height, width, 3), LETTERBOX_GREY, np.uint8)
     canvas[top : top + rows, left : left + columns] = resized
     return canvas, Letterbox(top / height, left / width, rows / height, columns / width)
-
-
-def _halved(image: np.ndarray, rows: int, columns: int) -> np.ndarray:
-    """A picture (H, W, 3), halved while it is twice the given size or more: means over areas that are no whole number
-    of pixels take six times as long as those over four."""
-    while min(image.shape[0] / rows, image.shape[1] / columns) >= 2:
-        image = cv2.resize(image, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA)
-    return image
 
 
 def network_input(images: np.ndarray) -> NDArray[np.float32]:
