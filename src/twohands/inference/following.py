@@ -157,8 +157,9 @@ def _move(mask: np.ndarray, place: np.ndarray, masks: np.ndarray) -> None:
         [[left, top, 1], [left + width, top, 1], [left, top + height, 1], [left + width, top + height, 1]]
     )
     moved = corners @ place.T
-    low = np.maximum(np.floor(moved.min(axis=0)).astype(int), 0)
-    high = np.minimum(np.ceil(moved.max(axis=0)).astype(int) + 1, masks.shape[::-1])
+    size = masks.shape[::-1]
+    low = np.clip(np.floor(moved.min(axis=0)), 0, size).astype(int)
+    high = np.clip(np.ceil(moved.max(axis=0)) + 1, 0, size).astype(int)
     if not width or (high <= low).any():
         return
     own = place.copy()

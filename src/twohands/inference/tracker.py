@@ -109,9 +109,8 @@ def polynomial_weights(times: np.ndarray, degree: int, at: np.ndarray | float, f
     middle, half = (high + low) / 2, (high - low) / 2 or 1.0
     basis = legendre.legvander((np.concatenate([times, at.ravel()]) - middle) / half, degree)  # (N + ..., degree + 1)
     counts = fade ** (np.arange(count)[::-1] / 2)
-    orthogonal, triangle = np.linalg.qr(counts[:, None] * basis[:count])
-    weights = basis[count:] @ np.linalg.solve(triangle, orthogonal.T) * counts
-    return weights.reshape(*at.shape, count)
+    fit = np.linalg.pinv(counts[:, None] * basis[:count]) * counts  # values -> coefficients
+    return (basis[count:] @ fit).reshape(*at.shape, count)
 
 
 def polynomial_value(
