@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from tests.oracles import Oracle, drawn_hands, make_card, restaged
@@ -106,6 +107,24 @@ def test_masks_go_with_the_hands():
     expected[28:49, 36:56], expected[60:72, 4:16] = 1, 2
     np.testing.assert_array_equal(moved_masks(Trail.of(seen), joints_px + shift), expected)
     assert not moved_masks(Trail.of(replace(seen, crop_masks=None)), joints_px).any()
+
+
+@pytest.mark.parametrize("shift_px", [(3.4, -5.7), (-70.0, 20.0), (60.0, 45.0), (900.0, 0.0), (1e30, -1e30)])
+@pytest.mark.parametrize("turn", [0.0, 0.7, 2.5])
+def test_a_mask_moves_as_the_whole_picture_would(turn, shift_px):
+    """Only the part that it covers is moved, also where it leaves the picture, or has left it for good."""
+    rng = np.random.default_rng(3)
+    masks = np.zeros((90, 120), np.uint8)
+    masks[30:60, 40:70] = rng.integers(0, 2, (30, 30))
+    joints_px = rng.uniform(30, 70, (21, 2))
+    linear = 1.3 * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    moved_px = (joints_px - 50) @ linear.T + 50 + shift_px
+    seen = TwoHandPose(HandPose(True, 0.9, joints_px=joints_px), HandPose(present=False), SAMPLE.camera)
+    found = moved_masks(Trail.of(replace(seen, crop_masks=masks)), np.stack([moved_px, np.full((21, 2), np.nan)]))
+    place = similarity(joints_px, moved_px)
+    whole = cv2.warpAffine(masks, place, (120, 90), flags=cv2.INTER_NEAREST) if max(shift_px) < 1e9 else 0 * masks
+    assert (found != whole).sum() <= 2  # whose sources lie on the border of two pixels
+    assert found.any() == (np.abs(shift_px).max() < 100)
 
 
 def test_masks_of_large_pictures_are_coarser():
