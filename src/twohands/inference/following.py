@@ -12,7 +12,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from twohands.geometry.boxes import box_iou
+from twohands.geometry.boxes import box_in_picture, box_iou
 from twohands.geometry.segmentation import UNCERTAIN, HandBoxes, log_odds
 from twohands.inference.detection import Detection, HandFinder
 from twohands.inference.handedness import Assignment
@@ -153,13 +153,10 @@ def _move(mask: np.ndarray, place: np.ndarray, masks: np.ndarray) -> None:
     """Puts a mask (h, w), moved by a matrix (2, 3), over masks of the same size, in place. Only the part that it
     covers is touched: hands are small."""
     left, top, width, height = cv2.boundingRect(mask)
-    corners = np.array(
-        [[left, top, 1], [left + width, top, 1], [left, top + height, 1], [left + width, top + height, 1]]
-    )
-    moved = corners @ place.T
-    size = masks.shape[::-1]
-    low = np.clip(np.floor(moved.min(axis=0)), 0, size).astype(int)
-    high = np.clip(np.ceil(moved.max(axis=0)) + 1, 0, size).astype(int)
+    corners = np.array([[0, 0], [1, 0], [0, 1], [1, 1]]) * (width, height) + (left, top)
+    size = masks.shape[1], masks.shape[0]
+    box = np.asarray(box_in_picture(corners @ place[:, :2].T + place[:, 2], *size))
+    low, high = np.floor(box[:2]).astype(int), np.minimum(np.ceil(box[2:]) + 1, size).astype(int)
     if not width or (high <= low).any():
         return
     own = place.copy()

@@ -58,13 +58,13 @@ class HandViewer:
         Returns:
             Keypoints and canonical poses of the views that count.
         """
-        views, best, poses = self.card.views, keypoints, canonical.copy()
+        views, sureness = self.card.views, _sureness(keypoints)
         turns = [len(self.stages.of_pair(crop.pair).card.views.turns_deg) > 0 for crop in keypoints.crops]
-        least = _sureness(keypoints) + views.turn_lead
-        doubtful = turns & (_sureness(keypoints) < views.turn_below_score)
+        doubtful = turns & (sureness < views.turn_below_score)
         if not doubtful.any():
             return keypoints, canonical
         doubtful &= self._in_sight(keypoints)
+        best, poses, least = keypoints, canonical.copy(), sureness + views.turn_lead
         for degrees in views.turns_deg:
             rows = np.flatnonzero(doubtful & (_sureness(best) < views.turn_below_score))
             if not len(rows):
@@ -91,7 +91,9 @@ class HandViewer:
             mean scores and of how well the views agree (`agreement`), and the mean canonical pose.
         """
         views = self.card.views
-        rows = np.flatnonzero(self._in_sight(keypoints)) if views.tta_rolls_deg else np.zeros(0, int)
+        if not views.tta_rolls_deg:
+            return keypoints, canonical
+        rows = np.flatnonzero(self._in_sight(keypoints))
         if not len(rows):
             return keypoints, canonical
         first = keypoints.rows(rows)
