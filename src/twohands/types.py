@@ -219,6 +219,8 @@ class HandPose:
         valid: whether the camera-space result can be used.
         side_logit: log-odds that the hand is of this side and not of the other, as this picture alone says; None where
             nobody says; not exported.
+        pair: of pose networks that saw the joints, 0 or 1; None where it was none of ours; for the next frame of a
+            video, not exported.
         range_sigma_m: standard deviation of `range_m`, metres: that of the estimate, and of what was assumed; None
             where it is not known.
         scale_source: how the hand length is known: "typed", "board", "distance", "assumed".
@@ -239,6 +241,7 @@ class HandPose:
     method: str | None = None
     valid: bool | None = None
     side_logit: float | None = None
+    pair: int | None = None
     range_sigma_m: float | None = None
     scale_source: str | None = None
     intrinsics_source: str | None = None

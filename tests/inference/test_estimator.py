@@ -33,7 +33,7 @@ from twohands.inference.estimator import HandEstimator
 from twohands.inference.keypoints import Keypoints, joint_boxes
 from twohands.inference.placement import posterior_ranges
 from twohands.inference.stages import StageTruth
-from twohands.inference.views import HandViewer
+from twohands.inference.views import HandViewer, nearest_turns
 from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
 from twohands.types import HandPose, HandSample, PinholeCamera
 
@@ -356,13 +356,18 @@ def test_a_hand_outside_the_picture_keeps_no_other_from_being_looked_at_again():
 @pytest.mark.parametrize(
     ("scores", "looks", "counts"),
     [
-        ((0.5, 0.9), 2, 1),  # upside down it is surer
+        ((0.5, 0.9), 2, 1),  # turned it is surer
         ((0.5, 0.54), 2, 0),  # but hardly
         ((0.95, 1.0), 1, 0),  # no doubt, no second look
     ],
 )
 def test_a_doubtful_hand_is_seen_upside_down_too_and_the_surer_view_counts(scores, looks, counts):
-    """Each view puts the joints elsewhere, by 3 pixels; poses come back in the camera of the picture."""
+    """The first view puts the fingers where the wrist is, the other the joints 3 pixels off; poses come back in the
+    camera of the picture."""
+
+    def upside_down(joints_px):
+        return joints_px.min(axis=-2, keepdims=True) + joints_px.max(axis=-2, keepdims=True) - joints_px
+
     sample = drawn_hands(4)
     card = make_card(turns_deg=(180.0,))
     oracle = Oracle(sample, card)
@@ -375,7 +380,8 @@ def test_a_doubtful_hand_is_seen_upside_down_too_and_the_surer_view_counts(score
     def read_out(heatmaps, given):
         joints_px, _ = plain.read_out(heatmaps, given)
         view = len(crops) - 1
-        return joints_px + np.array([3.0 * view, 0.0]), np.full(joints_px.shape[:2], scores[view])
+        seen = joints_px + np.array([3.0, 0.0]) if view else upside_down(joints_px)
+        return seen, np.full(joints_px.shape[:2], scores[view])
 
     def lift(keypoints):
         rolls = [rotation_about_z(np.radians(crop.roll_deg)) for crop in keypoints.crops]
@@ -386,36 +392,18 @@ def test_a_doubtful_hand_is_seen_upside_down_too_and_the_surer_view_counts(score
     pose = estimator.estimate(sample.image, sample.camera, HAND_LENGTH_M)
     assert [[crop.roll_deg for crop in given] for given in crops] == [[0.0, 0.0], [180.0, 180.0]][:looks]
     for side, hand in enumerate(pose.hands):
-        np.testing.assert_allclose(hand.joints_px, sample.joints_px[side] + np.array([3.0 * counts, 0.0]), atol=0.3)
+        true_px = sample.joints_px[side]
+        np.testing.assert_allclose(
+            hand.joints_px, true_px + np.array([3.0, 0.0]) if counts else upside_down(true_px), atol=0.3
+        )
         np.testing.assert_allclose(hand.joint_scores, scores[counts])
         np.testing.assert_allclose(hand.canonical, oracle.canonical[side], atol=0.05)
 
 
-def test_of_all_turned_views_the_surest_counts_for_each_hand():
-    sample = drawn_hands(4)
-    card = make_card(turns_deg=(90.0, 180.0))
-    oracle = Oracle(sample, card)
-    estimator = HandEstimator(oracle.estimator.networks, card)
-    masks, boxes = estimator.segment(sample.image)
-    look = keypoints_of(estimator, sample, masks, boxes.boxes_px)
-    sure = {0.0: (0.5, 0.5), 90.0: (0.9, 0.6), 180.0: (0.7, 0.8)}
-
-    def read_out(heatmaps, given):
-        scores = [np.full(21, sure[crop.roll_deg][crop.side]) for crop in given]
-        return np.array([look.joints_px[crop.side] for crop in given]), np.array(scores)
-
-    stages = dataclasses.replace(
-        estimator.stages,
-        locate=lambda given: (look.heatmaps, look.hand_logits),
-        read_out=read_out,
-        lift=lambda seen: oracle.canonical[seen.sides],
-    )
-    first = dataclasses.replace(look, joint_scores=np.full((2, 21), 0.5))
-    viewer = HandViewer(stages, card, sample.image, masks, sample.camera)
-    seen, _ = viewer.turned(first, oracle.canonical)
-    assert [crop.roll_deg for crop in seen.crops] == [90.0, 180.0]
-    np.testing.assert_array_equal(seen.sides, [LEFT, RIGHT])
-    np.testing.assert_allclose(seen.joint_scores.mean(axis=1), [0.9, 0.8])
+def test_a_hand_is_turned_as_brings_its_fingers_nearest_to_up():
+    off_deg = np.array([0.0, 44.0, 46.0, 100.0, -170.0, -100.0])
+    np.testing.assert_array_equal(nearest_turns(off_deg, (180.0, 90.0, 270.0)), [0, 0, 90, 90, 180, 270])
+    assert not nearest_turns(off_deg, ()).any()
 
 
 @pytest.mark.parametrize(("within_deg", "again"), [(180.0, ()), (35.0, (LEFT,)), (5.0, (LEFT, RIGHT))])

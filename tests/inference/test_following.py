@@ -10,8 +10,11 @@ from tests.oracles import Oracle, drawn_hands, make_card, restaged
 from twohands.geometry.boxes import upright_roll_deg
 from twohands.inference.following import (
     FARTHEST,
+    LONGER_REST,
+    as_expected,
     expected_joints,
     followed_boxes,
+    longest_rest,
     moved_masks,
     similarity,
     strayed,
@@ -80,6 +83,29 @@ def test_nothing_is_expected_after_a_pause_or_of_a_hand_that_was_not_there():
     expected = expected_joints(coming, 2)
     np.testing.assert_allclose(expected[0], SAMPLE.joints_px[0] + 9.0)
     assert np.isnan(expected[1]).all()
+
+
+def test_hands_are_as_expected_where_they_moved_on_as_they_did():
+    """The second pair's may lie farther from where they were expected; another hand than before is not expected."""
+    size_px = np.ptp(SAMPLE.joints_px, axis=1).max(axis=1).min()
+    between_px = (FARTHEST[0] + FARTHEST[1]) / 2 * size_px
+    trail = trail_of(pose_at(0), pose_at(1, (3.0, 0.0)))
+    assert as_expected(pose_at(2, (6.0, 0.0)), trail) and not as_expected(pose_at(2), None)
+    astray = pose_at(2, (6.0 + between_px, 0.0))
+    assert not as_expected(astray, trail)
+    left, right = (replace(hand, pair=1) for hand in astray.hands)
+    assert as_expected(replace(astray, left=left, right=right), trail)
+    assert not as_expected(pose_at(2, (6.0, 0.0), present=(True, False)), trail)
+    assert not as_expected(pose_at(2), trail_of(pose_at(0), pose_at(1, present=(True, False))))
+
+
+def test_how_long_segmentation_rests():
+    def seen(*pairs):
+        hands = [HandPose(False) if pair is None else replace(pose_at(0).left, pair=pair) for pair in pairs]
+        return longest_rest(replace(pose_at(0), left=hands[0], right=hands[1]), 2)
+
+    assert seen(0, 0) == seen(1, 0) == seen(0, 1) == 2 and seen(1, 1) == 2 * LONGER_REST
+    assert seen(1, None) == seen(None, 1) == 2 and seen(0, None) == seen(None, 0) == 0, "the other hand may come"
 
 
 def test_a_hand_that_leaves_and_hands_in_one_place_are_not_followed():
@@ -182,7 +208,7 @@ def test_segmentation_looks_where_it_may_not_rest_or_a_hand_is_in_doubt():
     assert not awake.estimate(replace(trail, may_rest=False)).followed and awake.looks == 1
     blind = Follower(blind=True)
     assert not blind.estimate(trail).followed and blind.looks == 1
-    strayed_from = replace(first, left=replace(first.left, joints_px=SAMPLE.joints_px[0] + FARTHEST * 200))
+    strayed_from = replace(first, left=replace(first.left, joints_px=SAMPLE.joints_px[0] + FARTHEST[0] * 200))
     startled = Follower()
     assert not startled.estimate(replace(trail, last=(strayed_from,))).followed and startled.looks == 1
     alone = Follower()

@@ -23,6 +23,7 @@ from twohands.types import HandCrop
 SAMPLE = drawn_hands(7)
 LENGTH_M = 0.1
 TRUSTED = {"second": {"second": 1.0}}
+NEVER = {"second": {"second": -1.0}}
 
 
 def keypoints(scores, logits, shift_px=0.0) -> Keypoints:
@@ -76,16 +77,17 @@ def test_the_second_pair_counts_where_its_weights_say_so():
 
 class Two:
     """An estimator whose two pairs know the answer; the first is off by 3 pixels and has the scores that are given.
-    `seen` are the crops of either pair."""
+    `seen` are the crops of either pair; what HandCheck `says` of every hand are two log-odds, None without it."""
 
-    def __init__(self, scores=(0.5, 0.9), decision=TRUSTED, second_logit=4.0, **second_card) -> None:
+    def __init__(self, scores=(0.5, 0.9), decision=TRUSTED, second_logit=4.0, says=(4.0, 4.0), **second_card) -> None:
         self.seen: tuple[list[HandCrop], list[HandCrop]] = ([], [])
         self.hand_logits = (4.0, second_logit)
         card = make_card(hand_logit=True, second_below_score=0.8)
         card = dataclasses.replace(card, decision=dataclasses.replace(card.decision, **decision))
         plain = self.staged(0, card, scores)
         second = self.staged(1, make_card(crop_size=96, **second_card), (0.95, 0.95))
-        self.estimator = HandEstimator(plain[0], card, dataclasses.replace(plain[1], second=second[1]))
+        check = None if says is None else lambda image, joints_px: np.array([says] * len(joints_px))
+        self.estimator = HandEstimator(plain[0], card, dataclasses.replace(plain[1], second=second[1], check=check))
 
     def staged(self, pair, card, scores):
         oracle = Oracle(SAMPLE, card)
@@ -126,7 +128,7 @@ def test_the_second_pair_looks_where_the_first_doubts_and_counts_by_the_weights(
         np.testing.assert_allclose(hand.joints_px, SAMPLE.joints_px[side] + [off_px, 0], atol=0.3)
         np.testing.assert_allclose(hand.canonical, canonical_from_camera(SAMPLE.joints_m[side]).joints, atol=0.05)
     assert pose.left.joint_scores.mean() == pytest.approx(0.95)
-    ignored = Two(decision={"second": {"second": -1.0}})
+    ignored = Two(decision=NEVER)
     np.testing.assert_allclose(ignored.estimate().left.joints_px, SAMPLE.joints_px[LEFT] + [3.0, 0], atol=0.3)
     assert ignored.seen[1]
     unasked = Two(decision={"second": {}})
@@ -168,16 +170,42 @@ def test_the_second_pair_has_its_own_crops_with_the_fingers_up():
     np.testing.assert_allclose(pose.left.canonical, canonical_from_camera(SAMPLE.joints_m[LEFT]).joints, atol=0.05)
 
 
-def test_followed_hands_are_seen_by_both_pairs_too():
+def test_a_hand_is_followed_by_the_pair_that_saw_it():
     two = Two(scores=(0.79, 0.9), upright_within_deg=25.0)
     first = two.estimate()
     for crops in two.seen:
         crops.clear()
     again = two.estimate(Trail((first,), first, may_rest=True), 1)
-    assert again.followed
-    (crop,) = two.seen[1]
+    assert again.followed and [hand.pair for hand in again.hands] == [1, 0]
+    (crop,), (other,) = two.seen[1], two.seen[0]
+    assert other.side == RIGHT
     assert crop.side == LEFT and crop.roll_deg, "with the fingers up at once: where they are is known"
     np.testing.assert_allclose(again.left.joints_px, SAMPLE.joints_px[LEFT], atol=0.3)
+
+
+@pytest.mark.parametrize(("says", "follows"), [((4.0, 4.0), True), ((-0.1, 4.0), False), ((4.0, -0.1), False)])
+def test_hand_check_says_whether_what_the_second_pair_follows_is_still_that_hand(says, follows):
+    """A left hand; where there is no HandCheck nobody can say."""
+    first = Two().estimate()
+    trail = Trail((first,), first, may_rest=True)
+    assert first.left.pair == 1 and Two(says=says).estimate(trail, 1).followed == follows
+    assert not Two(says=None).estimate(trail, 1).followed
+
+
+@pytest.mark.parametrize(("says", "follows"), [((4.0, 4.0), True), ((-4.0, 4.0), False)])
+def test_a_hand_that_the_first_pair_loses_is_followed_by_the_second(says, follows):
+    """Named case: the first pair sees the joints of real hands elsewhere in every frame, so that these were never
+    followed. Here it is a tenth of the hand's size, and three pixels more, from where they were expected."""
+    first = Two(decision=NEVER).estimate()
+    assert first.left.pair == 0
+    size_px = np.ptp(SAMPLE.joints_px[LEFT], axis=0).max()
+    moved = dataclasses.replace(first.left, joints_px=SAMPLE.joints_px[LEFT] - [0.1 * size_px, 0.0])
+    first = dataclasses.replace(first, left=moved)
+    again = Two(decision=NEVER, says=says).estimate(Trail((first,), first, may_rest=True), 1)
+    assert again.followed == follows
+    if follows:
+        assert [hand.pair for hand in again.hands] == [1, 0]
+        np.testing.assert_allclose(again.left.joints_px, SAMPLE.joints_px[LEFT], atol=0.3)
 
 
 def test_crops_of_both_pairs_come_back_in_their_order():

@@ -180,6 +180,7 @@ def test_the_estimator_is_told_what_was_found_before():
 
 
 def test_segmentation_rests_for_so_many_frames_at_most():
+    """And not before hands were once where they were expected."""
     video, seen = VideoEstimator(rest_frames=2), []
     for index in range(8):
 
@@ -189,8 +190,30 @@ def test_segmentation_rests_for_so_many_frames_at_most():
             return replace(pose_of(index), followed=rests)
 
         video.update(estimate)
-    assert seen == [None, 0, 0, 0, 3, 3, 3, 6]
-    assert (video.frames, video.rested) == (8, 5)
+    assert seen == [None, 0, 1, 1, 1, 4, 4, 4]
+    assert (video.frames, video.rested) == (8, 4)
+
+
+def test_segmentation_does_not_rest_where_hands_stray_or_one_is_missed():
+    """A hand that is alone is followed once the other one, which was there, is forgotten."""
+    video, rests = VideoEstimator(), []
+
+    def run(index, **how):
+        pose = pose_of(index, **how)
+        left, right = (replace(hand, pair=1) if hand.present else hand for hand in pose.hands)
+
+        def estimate(trail):
+            rests.append(trail is not None and trail.may_rest)
+            return replace(pose, left=left, right=right)
+
+        video.update(estimate)
+
+    for index, right_px in enumerate((30.0, -30.0, 0.0, 0.0, 0.0, 0.0)):
+        run(index, shift=(right_px, 0.0))
+    assert rests == [False, False, False, False, False, True], "hands move on as they did, says the frame before"
+    for index in range(6, 20):
+        run(index, present=(True, False))
+    assert not any(rests[7:10]) and rests[-1]
 
 
 def test_ranges_are_smoothed_unless_that_is_switched_off():

@@ -23,7 +23,15 @@ from twohands.inference.handedness import (
     palm_distance,
     rescore,
 )
-from twohands.inference.keypoints import Keypoints, cuttable, in_sight, joint_boxes, mirror_crop, rolled_hand_box
+from twohands.inference.keypoints import (
+    Keypoints,
+    cuttable,
+    in_sight,
+    joint_boxes,
+    mirror_crop,
+    off_upright_deg,
+    rolled_hand_box,
+)
 from twohands.inference.second_look import MOST_ASTRAY, doubted, knows_better, on_other_hand
 from twohands.inference.side_decision import assign_in_clip
 from twohands.inference.side_keeping import NOTHING_KNOWN
@@ -115,7 +123,13 @@ class HandFinder:
         return continued_box(box_px, self.size[1], self.size[0])
 
     def seen_better(
-        self, found: Detection, boxes_px: np.ndarray, joints_px: np.ndarray | None = None, *, recrop: bool = True
+        self,
+        found: Detection,
+        boxes_px: np.ndarray,
+        joints_px: np.ndarray | None = None,
+        *,
+        recrop: bool = True,
+        lost: np.ndarray | None = None,
     ) -> Detection:
         """Hands that the first pose networks doubt, seen by the second ones as well: their joints count where they know
         a hand better, and their boxes are those where they were looked for. Which hands are there, and whose, stays
@@ -127,17 +141,19 @@ class HandFinder:
             boxes_px: (2, 4) of LEFT and RIGHT, where they are looked for.
             joints_px: (2, 21, 2) where their joints are expected; None where nothing is known.
             recrop: whether they are `recropped` then.
+            lost: (B,) bool, hands of which the second ones are believed wherever they are asked; None for none.
         """
         first, config = found.keypoints, self.card.decision
         if self.stages.second is None or not config.second:
             return found
-        rows = np.flatnonzero(doubted(first, self.card.views.second_below_score))
+        rows = np.flatnonzero((first.pairs == 0) & doubted(first, self.card.views.second_below_score))
         rows = rows[on_other_hand(first.rows(rows), found.masks, self.size) <= MOST_ASTRAY]
         if not len(rows):
             return found
         sides = first.sides[rows]
         second = self._second(found.masks, boxes_px, sides, None if joints_px is None else joints_px[sides])
-        better = np.flatnonzero(knows_better(first.rows(rows), second, config))
+        better = knows_better(first.rows(rows), second, config) | (False if lost is None else lost[rows])
+        better = np.flatnonzero(better)
         if not len(better):
             return found
         boxes = found.boxes.boxes_px.copy()
@@ -195,10 +211,8 @@ class HandFinder:
         if not any(each.upright for each in views):
             return keypoints
         within_deg = np.array([each.upright_within_deg for each in views])
-        rolled_deg = np.array([crop.roll_deg for crop in keypoints.crops])
-        off_deg = (upright_roll_deg(keypoints.joints_px) - rolled_deg + 180) % 360 - 180
         seen = in_sight(keypoints.joints_px, self.size, self.card.views.smallest_box_px)
-        again = np.flatnonzero(seen & (np.abs(off_deg) > within_deg))
+        again = np.flatnonzero(seen & (np.abs(off_upright_deg(keypoints)) > within_deg))
         if not len(again):
             return keypoints
         crops = []
@@ -263,6 +277,13 @@ class HandFinder:
                 joints_px.append(merged.joints_px[np.argmax(merged.hand_logits)])
             said[rows] = self.stages.check(self.image, np.stack(joints_px))
         return said
+
+    def still_hands(self, keypoints: Keypoints) -> np.ndarray:
+        """(B,) bool: whether HandCheck takes hands for hands of their sides; none without HandCheck."""
+        if self.stages.check is None or not len(keypoints.crops):
+            return np.zeros(len(keypoints.crops), bool)
+        hand, left = self.stages.check(self.image, keypoints.joints_px).T
+        return (hand > 0) & (np.where(keypoints.sides == LEFT, left, -left) > 0)
 
     def assigned(self, found: Detection, assignment: Assignment, views: CandidateViews) -> tuple[Detection, np.ndarray]:
         """The hands that an assignment makes of candidates, with HandSegNet's scores for absent ones; and (B,) bool,

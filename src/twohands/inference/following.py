@@ -26,9 +26,13 @@ from twohands.types import HandPose, TwoHandPose
 REST_FRAMES: Final = 2
 """For so many frames in a row HandSegNet may rest: the older the masks, the worse PoseNet2D's crops (docs/history/
 journal.md, *Two frames of rest*)."""
-FARTHEST: Final = 0.08
-"""How far, as a share of the hand's size, its joints may lie on average from where they were expected; farther, and
-HandSegNet looks (docs/history/journal.md, *What segmentation at rest cost*)."""
+LONGER_REST: Final = 3
+"""Times as long it may rest while the second pair of pose networks follows both hands, which needs no masks
+(docs/history/journal.md, *Real hands followed*)."""
+FARTHEST: Final = (0.08, 0.15)
+"""How far, as a share of the hand's size, its joints may lie on average from where they were expected, as the first and
+as the second pair of pose networks see them; farther, and HandSegNet looks (docs/history/journal.md, *What segmentation
+at rest cost* and *Real hands followed*)."""
 _MOST_CELLS: Final = 960
 """Masks of followed hands have at most so many cells along the longer side of the picture."""
 
@@ -42,25 +46,45 @@ def followed_hands(finder: HandFinder, trail: Trail, time: float) -> Detection |
         time: of the frame, on the clip's clock: `TwoHandPose.time_s`, or `index` where that is None.
 
     Returns:
-        None where HandSegNet is to look: no hand can be followed (`followed_boxes`), one is less likely a hand than
-        none, by the card's last decision, or it is not where it was expected (`FARTHEST`).
+        None where HandSegNet is to look: no hand can be followed (`followed_boxes`); or one is less likely a hand than
+        none, by the card's last decision where the first pose networks see it, by HandCheck where the second ones do;
+        or it is not where it was expected (`FARTHEST`). Those that saw a hand see it again; where the first lose it,
+        the second are asked.
     """
     finder, expected_px = replace(finder, keep_masks=True), expected_joints(trail, time)
     boxes = followed_boxes(trail, expected_px, finder.size, finder.card)
     if boxes is None:
         return None
-    masks = moved_masks(trail, expected_px)
-    present = np.flatnonzero(boxes.present)
-    crops = finder.joint_crops(masks, boxes.boxes_px, expected_px[present], present, np.zeros(len(present), int))
-    found = finder.recropped(Detection(masks, boxes, finder.looked(masks, boxes.boxes_px, crops)))
-    found = finder.rescored(found, followed_assignment(trail, boxes.present))
-    doubtful = ~found.boxes.present | (found.boxes.scores < 0.5)
-    if (boxes.present & doubtful).any():
+    masks, present = moved_masks(trail, expected_px), np.flatnonzero(boxes.present)
+    pairs = np.array([trail.last[-1].hands[side].pair or 0 for side in present])
+    crops = finder.joint_crops(masks, boxes.boxes_px, expected_px[present], present, pairs)
+    seen = finder.recropped(Detection(masks, boxes, finder.looked(masks, boxes.boxes_px, crops)))
+    found, lost = _first_judged(finder, trail, seen, expected_px)
+    found = finder.seen_better(found, boxes.boxes_px, expected_px, lost=lost)
+    by_second = found.keypoints.pairs == 1
+    far = strayed(expected_px[present], found.keypoints.joints_px) > FARTHEST[1]
+    if np.where(by_second, far, lost).any():
         return None
-    found = finder.seen_better(found, boxes.boxes_px, expected_px)
-    sides = found.keypoints.sides
-    far = strayed(expected_px[sides], found.keypoints.joints_px) > FARTHEST
-    return None if far.any() else found._replace(followed=True)
+    if not finder.still_hands(found.keypoints.rows(np.flatnonzero(by_second))).all():
+        return None
+    return found._replace(followed=True)
+
+
+def _first_judged(
+    finder: HandFinder, trail: Trail, found: Detection, expected_px: np.ndarray
+) -> tuple[Detection, np.ndarray]:
+    """Hands with the scores that the card's last decision gives those of the first pose networks, and (B,) bool, which
+    of these are lost: less likely hands than none, or too far from where they were expected."""
+    keypoints, sides, first = found.keypoints, found.keypoints.sides, found.keypoints.pairs == 0
+    if not first.any():
+        return found, first
+    present = np.isin([LEFT, RIGHT], sides[first])
+    own = Detection(found.masks, replace(found.boxes, present=present), keypoints.rows(np.flatnonzero(first)))
+    judged = finder.rescored(own, followed_assignment(trail, present)).boxes
+    doubtful = ~judged.present | (judged.scores < 0.5)
+    far = strayed(expected_px[sides], keypoints.joints_px) > FARTHEST[0]
+    scores = np.where(present, judged.scores, found.boxes.scores)
+    return found._replace(boxes=replace(found.boxes, scores=scores)), first & (doubtful[sides] | far)
 
 
 def expected_joints(trail: Trail, time: float) -> np.ndarray:
@@ -82,6 +106,29 @@ def expected_joints(trail: Trail, time: float) -> np.ndarray:
         return np.full_like(joints_px, np.nan)
     moved = joints_px - np.array([_joints(hand) for hand in trail.last[-2].hands])
     return joints_px + np.nan_to_num(moved.mean(axis=1, keepdims=True)) * (passed / step)
+
+
+def as_expected(pose: TwoHandPose, trail: Trail | None) -> bool:
+    """Whether the hands of a frame are those of the frames before, where they were expected: where they are not, to
+    follow them would most likely have failed."""
+    if trail is None:
+        return False
+    expected_px, found_px = expected_joints(trail, _clock(pose)), np.array([_joints(hand) for hand in pose.hands])
+    known = np.isfinite(expected_px).all(axis=(1, 2))
+    if (known != np.isfinite(found_px).all(axis=(1, 2))).any():
+        return False
+    farthest = np.array([FARTHEST[hand.pair or 0] for hand in pose.hands])
+    return bool((strayed(expected_px, found_px) <= farthest)[known].all())
+
+
+def longest_rest(pose: TwoHandPose, rest_frames: int) -> int:
+    """For how many frames in a row HandSegNet may rest once it has seen these hands, if it is `rest_frames` for both by
+    the first pose networks. One hand that these see is never followed: the other may come."""
+    present = [hand for hand in pose.hands if hand.present]
+    by_second = all(hand.pair for hand in present)
+    if len(present) == 2:
+        return rest_frames * LONGER_REST if by_second else rest_frames
+    return rest_frames if by_second else 0
 
 
 def followed_boxes(

@@ -24,6 +24,7 @@ from twohands.geometry.boxes import (
     perspective_crop,
     points_from_crops,
     square_crop,
+    upright_roll_deg,
 )
 from twohands.geometry.composition import compose_hand_input
 from twohands.geometry.network_input import network_input
@@ -160,6 +161,13 @@ def rolled_hand_box(
     rolled_from = np.linalg.inv(image_from_rolled(camera, rotation_about_z(math.radians(roll_deg))))
     points_px = near_picture(points_px, image_size[1], image_size[0])
     return cuttable(card, np.asarray(box_from_points(apply_homography(rolled_from, points_px))), camera)
+
+
+def off_upright_deg(keypoints: Keypoints) -> np.ndarray:
+    """(B,) how much further the cameras that saw B hands would have to be rolled for the fingers to point up, -180 to
+    180 degrees."""
+    rolled_deg = np.array([crop.roll_deg for crop in keypoints.crops])
+    return np.asarray((upright_roll_deg(keypoints.joints_px) - rolled_deg + 180) % 360 - 180)
 
 
 def mirror_crop(crop: HandCrop) -> HandCrop:

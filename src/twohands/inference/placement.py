@@ -212,6 +212,7 @@ def hand_poses(
             method=METHOD,
             valid=valid,
             side_logit=None if side_logits is None else float(side_logits[side]),
+            pair=keypoints.crops[i].pair,
             range_sigma_m=float(sigmas_m[i]) if valid and sigmas_m is not None and math.isfinite(sigmas_m[i]) else None,
         )
     warn([doubt for hand in hands if hand.range_m is not None for doubt in range_doubts(hand.range_m)], stacklevel=4)

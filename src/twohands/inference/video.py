@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 from twohands.errors import InputError
 from twohands.inference.decision import DecisionConfig
-from twohands.inference.following import REST_FRAMES
+from twohands.inference.following import REST_FRAMES, as_expected, longest_rest
 from twohands.inference.leaving import CARRIED_FRAMES
 from twohands.inference.side_keeping import SideKeeper
 from twohands.inference.tracker import DEFAULT_SMOOTHING, HandTracker, RangeSmoothing
@@ -30,7 +30,8 @@ class VideoEstimator:
     Args:
         smoothing: of the ranges; None leaves them, and leaving hands, as they are.
         carried_frames: for how many frames a leaving hand is carried on.
-        rest_frames: for how many frames in a row HandSegNet may rest while both hands are followed; 0 for never.
+        rest_frames: for how many frames in a row HandSegNet may rest while hands are followed (`longest_rest`); 0 for
+            never.
         decision: of the weights' card, how what frames say of sides adds up.
 
     Attributes:
@@ -66,7 +67,7 @@ class VideoEstimator:
         """Forget everything about the clip."""
         self._last: tuple[TwoHandPose, ...] = ()
         self._seen: TwoHandPose | None = None
-        self._resting = 0
+        self._resting, self._steady = 0, False
         self._sides.reset()
         if self._tracker is not None:
             self._tracker.reset()
@@ -84,9 +85,11 @@ class VideoEstimator:
             InputError: of the estimate, or the frame does not follow the last one; the frame is then as if it had not
                 come.
         """
-        pose = self._sides.kept(estimate(self._trail()))
+        trail = self._trail()
+        pose = self._sides.kept(estimate(trail))
         smooth = pose if self._tracker is None else self._tracker.update(pose)
         self._sides.remember(pose)
+        self._steady = pose.followed or as_expected(pose, trail)
         self._last = (*self._last[-1:], pose)
         self._resting = self._resting + 1 if pose.followed else 0
         self._seen = self._seen if pose.followed else pose
@@ -96,5 +99,7 @@ class VideoEstimator:
     def _trail(self) -> Trail | None:
         if self._seen is None:
             return None
-        both = all(hand.present for hand in self._last[-1].hands)
-        return Trail(self._last, self._seen, both and self._resting < self._rest_frames, self._sides.memory)
+        sides = self._sides.memory
+        longest = longest_rest(self._last[-1], self._rest_frames)
+        rests = self._steady and self._resting < longest and not sides.misses_one
+        return Trail(self._last, self._seen, rests, sides)

@@ -6,6 +6,7 @@ Ours; the paper's networks see a hand once.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -14,7 +15,7 @@ import numpy as np
 from twohands.geometry.camera import unproject
 from twohands.geometry.canonical import unrolled_canonical
 from twohands.geometry.rotation import rotation_about_z
-from twohands.inference.keypoints import Keypoints, in_sight, rolled_hand_box
+from twohands.inference.keypoints import Keypoints, in_sight, off_upright_deg, rolled_hand_box
 from twohands.inference.stages import Stages
 from twohands.inference.weights import WeightsCard
 from twohands.skeleton import ROOT
@@ -44,8 +45,8 @@ class HandViewer:
     camera: PinholeCamera
 
     def turned(self, keypoints: Keypoints, canonical: np.ndarray) -> tuple[Keypoints, np.ndarray]:
-        """Sees doubtful hands again, turned by `ViewConfig.turns_deg` one after the other, until they are no longer; of
-        each the view with the surest joints counts.
+        """Sees doubtful hands again, turned by that one of `ViewConfig.turns_deg` that brings their fingers nearest to
+        up, if any does; of both views the one with the surer joints counts.
 
         The networks know hands best with the fingers up, as the hands of who wears the camera, or is before it, mostly
         are: seen upside down, one whose fingers point down is one of these. Pose networks whose own card has no turns
@@ -63,18 +64,15 @@ class HandViewer:
         doubtful = turns & (sureness < views.turn_below_score)
         if not doubtful.any():
             return keypoints, canonical
-        doubtful &= self._in_sight(keypoints)
-        best, poses, least = keypoints, canonical.copy(), sureness + views.turn_lead
-        for degrees in views.turns_deg:
-            rows = np.flatnonzero(doubtful & (_sureness(best) < views.turn_below_score))
-            if not len(rows):
-                break
-            first = keypoints.rows(rows)
-            again, again_poses = self._rolled(first, degrees)
-            surer = _sureness(again) > np.maximum(_sureness(best), least)[rows]
-            best = best.replaced(rows[surer], again.rows(np.flatnonzero(surer)))
-            poses[rows[surer]] = again_poses[surer]
-        return best, poses
+        turns_deg = nearest_turns(off_upright_deg(keypoints), views.turns_deg)
+        rows = np.flatnonzero(doubtful & (turns_deg != 0) & self._in_sight(keypoints))
+        if not len(rows):
+            return keypoints, canonical
+        again, again_poses = self._rolled(keypoints.rows(rows), turns_deg[rows])
+        surer = np.flatnonzero(_sureness(again) > sureness[rows] + views.turn_lead)
+        poses = canonical.copy()
+        poses[rows[surer]] = again_poses[surer]
+        return keypoints.replaced(rows[surer], again.rows(surer)), poses
 
     def agreed(self, keypoints: Keypoints, canonical: np.ndarray) -> tuple[Keypoints, np.ndarray]:
         """Sees every hand again, rolled by `ViewConfig.tta_rolls_deg`; all views count alike.
@@ -109,12 +107,13 @@ class HandViewer:
     def _in_sight(self, keypoints: Keypoints) -> np.ndarray:
         return in_sight(keypoints.placed_px, self.image.shape[:2], self.card.views.smallest_box_px)
 
-    def _rolled(self, first: Keypoints, further_deg: float) -> tuple[Keypoints, np.ndarray]:
+    def _rolled(self, first: Keypoints, further_deg: float | np.ndarray) -> tuple[Keypoints, np.ndarray]:
         """Keypoints of B hands and their canonical poses (B, 21, 3) in the camera of the picture, as cameras see them
-        that are rolled so far further than those that saw them first."""
+        that are rolled so far further, all alike or each by its own (B,), than those that saw them first."""
         crops, size = [], (self.image.shape[0], self.image.shape[1])
-        for placed_px, crop in zip(first.placed_px, first.crops, strict=True):
-            roll_deg = crop.roll_deg + further_deg
+        further = np.broadcast_to(further_deg, len(first.crops)).tolist()
+        for placed_px, crop, by_deg in zip(first.placed_px, first.crops, further, strict=True):
+            roll_deg = crop.roll_deg + by_deg
             own = self.stages.of_pair(crop.pair)
             box_px = rolled_hand_box(own.card, placed_px, size, self.camera, roll_deg)
             crops.append(own.crop(self.image, self.masks, box_px, crop.side, self.camera, roll_deg))
@@ -141,6 +140,12 @@ def lifted(stages: Stages, keypoints: Keypoints, camera: PinholeCamera) -> np.nd
     rays = np.where(np.isfinite(rays), rays, pinhole)  # a lens has none far outside the picture
     rolls = np.array([rotation_about_z(math.radians(crop.roll_deg)) for crop in keypoints.crops])
     return unrolled_canonical(canonical, rays, rolls)
+
+
+def nearest_turns(off_deg: np.ndarray, turns_deg: Sequence[float]) -> np.ndarray:
+    """(B,) for angles (B,) the nearest of given turns, degrees, where turning is nearer than 0."""
+    choices = np.array([0.0, *turns_deg])
+    return choices[np.abs((off_deg[:, None] - choices + 180) % 360 - 180).argmin(axis=1)]
 
 
 def _sureness(keypoints: Keypoints) -> np.ndarray:
