@@ -63,7 +63,8 @@ class ViewConfig:
     second_below_score: float = 0.95
     """Mean score of its joints below which the second pose networks, of a preset that has some, see a hand as well."""
     turns_deg: tuple[float, ...] = ()
-    """Further views of doubtful hands alone: of all these views of one, that with the surest joints counts."""
+    """Turns of which a doubtful hand is seen in the one that brings its fingers nearest to up; the view with the surer
+    joints counts."""
     turn_below_score: float = 0.9
     """Mean score of its joints below which a hand is doubtful (docs/history/journal.md, *Hands upside down*)."""
     turn_lead: float = 0.05
