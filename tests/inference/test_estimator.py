@@ -400,6 +400,36 @@ def test_a_doubtful_hand_is_seen_upside_down_too_and_the_surer_view_counts(score
         np.testing.assert_allclose(hand.canonical, oracle.canonical[side], atol=0.05)
 
 
+def test_every_hand_is_turned_by_its_own_turn_and_the_surer_view_counts():
+    """Fingers that point to the left need another turn than those that point down."""
+    sample = drawn_hands(4)
+    card = make_card(turns_deg=(90.0, 180.0))
+    oracle = Oracle(sample, card)
+    estimator = HandEstimator(oracle.estimator.networks, card)
+    masks, boxes = estimator.segment(sample.image)
+    look = keypoints_of(estimator, sample, masks, boxes.boxes_px)
+    sure = {0.0: (0.5, 0.5), 90.0: (0.9, 0.6), 180.0: (0.7, 0.8)}
+
+    def read_out(heatmaps, given):
+        scores = [np.full(21, sure[crop.roll_deg][crop.side]) for crop in given]
+        return np.array([look.joints_px[crop.side] for crop in given]), np.array(scores)
+
+    stages = dataclasses.replace(
+        estimator.stages,
+        locate=lambda given: (look.heatmaps, look.hand_logits),
+        read_out=read_out,
+        lift=lambda seen: oracle.canonical[seen.sides],
+    )
+    away = look.joints_px - look.joints_px[:, [WRIST]]
+    turned_px = look.joints_px[:, [WRIST]] + np.stack([away[LEFT][:, ::-1] * np.array([1.0, -1.0]), -away[RIGHT]])
+    first = dataclasses.replace(look, joints_px=turned_px, joint_scores=np.full((2, 21), 0.5))
+    viewer = HandViewer(stages, card, sample.image, masks, sample.camera)
+    seen, _ = viewer.turned(first, oracle.canonical)
+    assert [crop.roll_deg for crop in seen.crops] == [90.0, 180.0]
+    np.testing.assert_array_equal(seen.sides, [LEFT, RIGHT])
+    np.testing.assert_allclose(seen.joint_scores.mean(axis=1), [0.9, 0.8])
+
+
 def test_a_hand_is_turned_as_brings_its_fingers_nearest_to_up():
     off_deg = np.array([0.0, 44.0, 46.0, 100.0, -170.0, -100.0])
     np.testing.assert_array_equal(nearest_turns(off_deg, (180.0, 90.0, 270.0)), [0, 0, 90, 90, 180, 270])

@@ -34,7 +34,7 @@ from twohands.inference.keypoints import (
 )
 from twohands.inference.second_look import MOST_ASTRAY, doubted, knows_better, on_other_hand
 from twohands.inference.side_decision import assign_in_clip
-from twohands.inference.side_keeping import NOTHING_KNOWN
+from twohands.inference.side_keeping import NOTHING_KNOWN, SIGNS
 from twohands.inference.stages import Stages
 from twohands.inference.trail import Trail
 from twohands.inference.views import HandViewer
@@ -283,7 +283,7 @@ class HandFinder:
         if self.stages.check is None or not len(keypoints.crops):
             return np.zeros(len(keypoints.crops), bool)
         hand, left = self.stages.check(self.image, keypoints.joints_px).T
-        return (hand > 0) & (np.where(keypoints.sides == LEFT, left, -left) > 0)
+        return (hand > 0) & (np.array(SIGNS)[keypoints.sides] * left > 0)
 
     def assigned(self, found: Detection, assignment: Assignment, views: CandidateViews) -> tuple[Detection, np.ndarray]:
         """The hands that an assignment makes of candidates, with HandSegNet's scores for absent ones; and (B,) bool,

@@ -56,7 +56,7 @@ def followed_hands(finder: HandFinder, trail: Trail, time: float) -> Detection |
     if boxes is None:
         return None
     masks, present = moved_masks(trail, expected_px), np.flatnonzero(boxes.present)
-    pairs = np.array([trail.last[-1].hands[side].pair or 0 for side in present])
+    pairs = _pairs(trail.last[-1])[present]
     crops = finder.joint_crops(masks, boxes.boxes_px, expected_px[present], present, pairs)
     seen = finder.recropped(Detection(masks, boxes, finder.looked(masks, boxes.boxes_px, crops)))
     found, lost = _first_judged(finder, trail, seen, expected_px)
@@ -117,8 +117,7 @@ def as_expected(pose: TwoHandPose, trail: Trail | None) -> bool:
     known = np.isfinite(expected_px).all(axis=(1, 2))
     if (known != np.isfinite(found_px).all(axis=(1, 2))).any():
         return False
-    farthest = np.array([FARTHEST[hand.pair or 0] for hand in pose.hands])
-    return bool((strayed(expected_px, found_px) <= farthest)[known].all())
+    return bool((strayed(expected_px, found_px) <= np.array(FARTHEST)[_pairs(pose)])[known].all())
 
 
 def longest_rest(pose: TwoHandPose, rest_frames: int) -> int:
@@ -229,6 +228,11 @@ def similarity(points: np.ndarray, moved: np.ndarray) -> np.ndarray:
 def _scores(trail: Trail) -> np.ndarray:
     """(2,) of the hands as HandSegNet saw them; even chances where there is none."""
     return np.array([0.5 if hand.score is None else hand.score for hand in trail.seen.hands])
+
+
+def _pairs(pose: TwoHandPose) -> np.ndarray:
+    """(2,) the pair of pose networks that saw each hand; the first where none of ours did."""
+    return np.array([hand.pair or 0 for hand in pose.hands])
 
 
 def _clock(pose: TwoHandPose) -> float:
