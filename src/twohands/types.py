@@ -269,6 +269,7 @@ class TwoHandPose:
     time_s: float | None = None
     followed: bool = False
     crop_masks: np.ndarray | None = field(default=None, repr=False)
+    turn_logits: np.ndarray | None = field(default=None, repr=False)
 
     @property
     def hands(self) -> tuple[HandPose, HandPose]:

@@ -951,7 +951,8 @@ def test_four_threads_share_one_estimator(tmp_path):
 def test_hand_lengths_and_cameras_in_another_unit_are_warned_of(tmp_path):
     estimator = HandEstimator.from_preset(write_tiny_weights(tmp_path / "tiny"))
     image = np.zeros((96, 160, 3), np.uint8)
-    with pytest.warns(PlausibilityWarning, match="centimetres; metres are expected"):
+    with pytest.warns(PlausibilityWarning, match="centimetres; metres are expected") as given:
         estimator.estimate(image, PinholeCamera.from_fov(60, 160, 96), hand_length_m=11)
+    assert {warning.filename for warning in given} == {__file__}  # of the line to be mended
     with pytest.warns(PlausibilityWarning, match="exchanged"):
         estimator.estimate(image, PinholeCamera(100, 100, 48, 80, 160, 96))

@@ -44,8 +44,8 @@ class CoarseMaps(nn.Module):
         super().__init__()
         self.net = net
 
-    def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """(B, 3, H, W) -> (B, 3, h, w) and (B, 2, h, w)."""
+    def forward(self, x: Tensor) -> tuple[Tensor, ...]:
+        """(B, 3, H, W) -> (B, 3, h, w) and (B, 2, h, w), and perhaps `TURN_MAPS`."""
         return self.net.coarse(x)
 
 
@@ -73,9 +73,9 @@ def export_network(
     `models.checkpoint.load_network` reads the file too and training can go on from it.
 
     Args:
-        network: HandSegNet (outputs seg_logits, energy_logits, as `HandSegNet.coarse`), PoseNet2D (output heatmaps, as
-            PoseNet3D consumes them, and hand_logit if it judges), PoseNet3D (output canonical) or HandCheck (output
-            hand_logit). Inputs are normalised, NCHW.
+        network: HandSegNet (outputs seg_logits, energy_logits and perhaps turn_maps, as `HandSegNet.coarse`), PoseNet2D
+            (output heatmaps, as PoseNet3D consumes them, and hand_logit if it judges), PoseNet3D (output canonical) or
+            HandCheck (output hand_logit). Inputs are normalised, NCHW.
         path: destination.
         note: as for `models.checkpoint.save_network`.
         map_size: of the heatmaps that PoseNet3D is given, side in cells.
@@ -86,6 +86,7 @@ def export_network(
     if isinstance(network, HandSegNet):
         shape = (2, 3, network.config.height, network.config.width_px)
         name, model, inputs, outputs = "hand_seg_net", CoarseMaps(network), "image", ["seg_logits", "energy_logits"]
+        outputs += ["turn_maps"] if network.turn is not None else []
     elif isinstance(network, PoseNet2D):
         shape = (2, 3, network.config.crop_size, network.config.crop_size)
         name, model, inputs, outputs = "pose_net_2d", HeatmapNet(network), "crop", ["heatmaps"]

@@ -16,6 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from twohands.errors import CheckpointError
+from twohands.geometry.segmentation import TURN_AREAS, TURNS
 from twohands.inference.int8 import quantise
 from twohands.inference.runtime import open_core, read_network
 from twohands.inference.weights import HAND_CHECK, WeightsCard, network_files, read_card, second_folder
@@ -50,7 +51,8 @@ class Networks:
 
     Attributes:
         hand_seg_net: (B, 3, h, w), h and w multiples of 32 -> seg_logits (B, 3, h', w') for background, left, right,
-            and energy_logits (B, 2, h', w') for left, right.
+            and energy_logits (B, 2, h', w') for left, right; and, if the card says so, the maps that
+            `geometry.segmentation.turn_logits` reads.
         pose_net_2d: (B, 3, S, S) -> heatmaps (B, 21 + cues, M, M), and (B,) log-odds that a crop shows a hand of the
             side it was cut for, 0 from a network without a hand classifier.
         pose_net_3d: (B, 21 + cues, M, M) -> canonical joints (B, 21, 3) of a left-like hand.
@@ -58,7 +60,7 @@ class Networks:
         second: pose networks that look where these doubt; None without any.
     """
 
-    hand_seg_net: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+    hand_seg_net: Callable[[np.ndarray], tuple[np.ndarray, ...]]
     pose_net_2d: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
     pose_net_3d: Callable[[np.ndarray], np.ndarray]
     runtime: str = "functions"
@@ -177,7 +179,8 @@ def load_networks(folder: Path, card: WeightsCard, threads: int = 0) -> Networks
         outputs = (maps, 1) if card.hand_logit else (maps,)
         return compiled(folder, card, "pose_net_2d", 3, *outputs), compiled(folder, card, "pose_net_3d", maps, N_JOINTS)
 
-    seg, first = compiled(folder, card, "hand_seg_net", 3, 3, 2), pose_networks(folder, card)
+    maps = (3, 2, TURNS * TURN_AREAS**2) if card.says_turn else (3, 2)
+    seg, first = compiled(folder, card, "hand_seg_net", 3, *maps), pose_networks(folder, card)
     used, second = [seg, *first], None
     if card.second:
         other = second_folder(folder, card)
@@ -193,11 +196,7 @@ def load_networks(folder: Path, card: WeightsCard, threads: int = 0) -> Networks
     arithmetic = " and ".join(sorted({kind for network in used for kind in network.arithmetic}))
     runtime = f"OpenVINO on {seg.threads} thread{'s'[: seg.threads > 1]} in {arithmetic}"
 
-    def hand_seg_net(batch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        seg_logits, energy_logits = seg(batch)
-        return seg_logits, energy_logits
-
-    return Networks(hand_seg_net, *_pose_functions(*first), runtime, second)
+    return Networks(seg, *_pose_functions(*first), runtime, second)
 
 
 def _pose_functions(

@@ -6,6 +6,7 @@ else; that is how each stage is studied alone and how the error budget is drawn 
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,10 +18,13 @@ from twohands.inference.engine import Networks, load_networks
 from twohands.inference.following import followed_hands
 from twohands.inference.keypoints import NO_KEYPOINTS, given_heatmaps
 from twohands.inference.placement import hand_poses, refine
+from twohands.inference.segmenter import HandMaps
 from twohands.inference.stages import NO_TRUTH, Stages, StageTruth, check_picture
 from twohands.inference.trail import Trail
+from twohands.inference.turning import upright_first
 from twohands.inference.views import lifted
 from twohands.inference.weights import DEFAULT_PRESET, WeightsCard, preset_folder, read_card
+from twohands.plausibility import range_doubts, warn
 from twohands.types import HandPose, PinholeCamera, TwoHandPose
 
 DEFAULT_HAND_LENGTH_M: Final = 0.10
@@ -85,26 +89,54 @@ class HandEstimator:
         Returns:
             Both hands; an absent hand has `present` False. Of hands that were followed there are no masks.
 
+        Warns:
+            PlausibilityWarning: camera, hand length or a hand's range are hard to believe (`twohands.plausibility`).
+
         Raises:
             InputError: image, camera and hand length do not fit together.
         """
         check_picture(image, camera, hand_length_m)
-        finder = HandFinder(self.stages, self.card, image, camera, keep_masks=truth.masks is not None)
         trail = Trail.of(previous) if isinstance(previous, TwoHandPose) else previous
-        found = None
+        see = partial(self._upright, hand_length_m=hand_length_m, truth=truth, index=index, time_s=time_s)
+        if not (self.card.says_turn and truth.replaces_nothing):
+            pose = see(image, camera, trail=trail)
+        else:
+            pose = upright_first(see, image, camera, trail, self.card.decision)
+        ranges_m = [hand.range_m for hand in pose.hands if hand.range_m is not None]
+        warn([doubt for range_m in ranges_m for doubt in range_doubts(range_m)])
+        return pose
+
+    def _upright(
+        self,
+        image: np.ndarray,
+        camera: PinholeCamera,
+        *,
+        hand_length_m: float | np.ndarray,
+        truth: StageTruth,
+        index: int,
+        time_s: float | None,
+        trail: Trail | None,
+    ) -> TwoHandPose:
+        """`estimate` of a picture that is taken for upright."""
+        finder = HandFinder(self.stages, self.card, image, camera, keep_masks=truth.masks is not None)
+        found, said = None, None
         if trail is not None and trail.may_rest and self.card.decides and truth.replaces_nothing:
             found = followed_hands(finder, trail, index if time_s is None else time_s)
         if found is None:
-            found = self.find_hands(finder, *self.segment(image, truth), truth, trail)
+            maps = None if truth.knows_hands else self.stages.hand_maps(image)
+            said = None if maps is None else maps.turn_logits
+            found = self.find_hands(finder, *self.segment(image, truth, maps), truth, trail)
         left, right = self.place_hands(finder, found, hand_length_m, truth)
         masks, crop_masks = (None, None) if found.followed else (certain_masks(found.masks), found.masks)
-        return TwoHandPose(left, right, camera, masks, index, time_s, found.followed, crop_masks)
+        return TwoHandPose(left, right, camera, masks, index, time_s, found.followed, crop_masks, said)
 
-    def segment(self, image: np.ndarray, truth: StageTruth = NO_TRUTH) -> tuple[np.ndarray, HandBoxes]:
-        """Stage 1: masks (H, W), and boxes of the candidates."""
+    def segment(
+        self, image: np.ndarray, truth: StageTruth = NO_TRUTH, maps: HandMaps | None = None
+    ) -> tuple[np.ndarray, HandBoxes]:
+        """Stage 1: masks (H, W), and boxes of the candidates; of HandSegNet's maps where they are known."""
         size, masks, boxes = image.shape[:2], truth.masks, truth.hand_boxes()
         if masks is None or boxes is None:
-            maps = self.stages.hand_maps(image)
+            maps = self.stages.hand_maps(image) if maps is None else maps
             boxes = self.stages.boxes(maps, size, truth.present) if boxes is None else boxes
             if masks is None:
                 masks = self.stages.masks(maps, size, boxes.present)

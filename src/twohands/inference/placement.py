@@ -22,7 +22,6 @@ from twohands.geometry.projection import Method, project_global, pull_to_rays, r
 from twohands.geometry.segmentation import HandBoxes
 from twohands.inference.decision import PlacementConfig
 from twohands.inference.keypoints import Keypoints
-from twohands.plausibility import range_doubts, warn
 from twohands.skeleton import N_JOINTS, PALM
 from twohands.types import GlobalPose, HandPose, PinholeCamera
 
@@ -215,7 +214,6 @@ def hand_poses(
             pair=keypoints.crops[i].pair,
             range_sigma_m=float(sigmas_m[i]) if valid and sigmas_m is not None and math.isfinite(sigmas_m[i]) else None,
         )
-    warn([doubt for hand in hands if hand.range_m is not None for doubt in range_doubts(hand.range_m)], stacklevel=4)
     return hands[0], hands[1]
 
 

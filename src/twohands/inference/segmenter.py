@@ -24,12 +24,13 @@ from twohands.geometry.segmentation import (
     parted_boxes,
     probability,
     resized_maps,
+    turn_logits,
     unmirrored,
 )
 from twohands.inference.decision import PictureView, ViewConfig
 from twohands.inference.weights import WeightsCard
 
-HandSegNet = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+HandSegNet = Callable[[np.ndarray], tuple[np.ndarray, ...]]
 
 
 class HandMaps(NamedTuple):
@@ -39,11 +40,22 @@ class HandMaps(NamedTuple):
         seg_logits: (3, h, w) for background, left, right.
         energies: (2, h, w) for LEFT and RIGHT, 0..1.
         scores: (2,) `hand_scores`, 0..1.
+        turn_logits: (4,) as in `TwoHandPose`; None where HandSegNet does not say.
     """
 
     seg_logits: np.ndarray
     energies: np.ndarray
     scores: np.ndarray
+    turn_logits: np.ndarray | None = None
+
+
+class View(NamedTuple):
+    """HandSegNet's logits for one view of a picture, over the whole of it: as in `HandMaps`, but for `energy_logits`,
+    (2, h, w)."""
+
+    seg_logits: np.ndarray
+    energy_logits: np.ndarray
+    turn_logits: np.ndarray | None
 
 
 def hand_maps(network: HandSegNet, card: WeightsCard, image: np.ndarray) -> HandMaps:
@@ -71,26 +83,28 @@ def picture_maps(network: HandSegNet, card: WeightsCard, image: np.ndarray) -> H
     """
     fitted = cache(lambda size: letterbox(image, canvas_size(image.shape[:2], size)))
 
-    def seen(view: PictureView) -> tuple[np.ndarray, np.ndarray]:
+    def seen(view: PictureView) -> View:
         canvas, place = fitted(view.size)
-        batch = network_input((canvas[:, ::-1] if view.mirrored else canvas)[None])
-        seg_logits, energy_logits = (resized_maps(maps[0], canvas.shape[:2]) for maps in network(batch))
+        maps = network(network_input((canvas[:, ::-1] if view.mirrored else canvas)[None]))
+        seg_logits, energy_logits = (resized_maps(one[0], canvas.shape[:2]) for one in maps[:2])
         if view.mirrored:
             seg_logits, energy_logits = unmirrored(seg_logits, energy_logits)
-        return place.content(seg_logits), place.content(energy_logits)
+        said = turn_logits(maps[2][0]) if card.says_turn and not view.mirrored else None
+        return View(place.content(seg_logits), place.content(energy_logits), said)
 
     first = seen(PictureView(card.seg_input_size))
     found = scored(*first)
     low, high = card.views.tta_score_range
     if card.views.tta_views and ((found.scores > low) & (found.scores < high)).any():
-        return scored(*mean_of_views([first, *map(seen, card.views.tta_views)]))
+        seg_logits, energy_logits = mean_of_views([first[:2], *(seen(view)[:2] for view in card.views.tta_views)])
+        return scored(seg_logits, energy_logits, first.turn_logits)
     return found
 
 
-def scored(seg_logits: np.ndarray, energy_logits: np.ndarray) -> HandMaps:
-    """Maps with their scores, of logits (3, h, w) and (2, h, w)."""
+def scored(seg_logits: np.ndarray, energy_logits: np.ndarray, said: np.ndarray | None = None) -> HandMaps:
+    """Maps with their scores, of logits (3, h, w) and (2, h, w), and what is said of the turn."""
     energies = probability(energy_logits)
-    return HandMaps(seg_logits, energies, hand_scores(energies, seg_logits))
+    return HandMaps(seg_logits, energies, hand_scores(energies, seg_logits), said)
 
 
 def closer_part(maps: HandMaps, image_size: tuple[int, int], views: ViewConfig) -> tuple[slice, slice] | None:
@@ -140,7 +154,7 @@ def with_part(maps: HandMaps, closer: HandMaps, part: tuple[slice, slice], image
         return planes
 
     seg_logits, energies = merged(maps.seg_logits, closer.seg_logits), merged(maps.energies, closer.energies)
-    return HandMaps(seg_logits, energies, hand_scores(energies, seg_logits))
+    return HandMaps(seg_logits, energies, hand_scores(energies, seg_logits), maps.turn_logits)
 
 
 def candidate_boxes(

@@ -49,6 +49,11 @@ class StageTruth:
         """Whether all stages are left alone."""
         return all(getattr(self, known.name) is None for known in fields(self))
 
+    @property
+    def knows_hands(self) -> bool:
+        """Whether there is nothing left to ask HandSegNet."""
+        return self.masks is not None and self.boxes_px is not None
+
     def hand_boxes(self) -> HandBoxes | None:
         """The known boxes; a hand is present where its box is finite, unless `present` denies it. None for no boxes."""
         if self.boxes_px is None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from twohands.inference.side_keeping import NOTHING_KNOWN, SideMemory
 from twohands.types import TwoHandPose
 
@@ -17,12 +19,15 @@ class Trail:
         seen: the last frame that HandSegNet saw.
         may_rest: whether HandSegNet may rest in the frame that comes.
         sides: what is known of the hands' sides.
+        turn_logits: (4,) what the frames together say of the camera's turn, as `TwoHandPose.turn_logits`; None for
+            nothing.
     """
 
     last: tuple[TwoHandPose, ...]
     seen: TwoHandPose
     may_rest: bool = False
     sides: SideMemory = NOTHING_KNOWN
+    turn_logits: np.ndarray | None = None
 
     @classmethod
     def of(cls, pose: TwoHandPose) -> Trail:

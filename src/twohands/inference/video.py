@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
+
 from twohands.errors import InputError
 from twohands.inference.decision import DecisionConfig
 from twohands.inference.following import REST_FRAMES, as_expected, longest_rest
@@ -16,6 +18,7 @@ from twohands.inference.leaving import CARRIED_FRAMES
 from twohands.inference.side_keeping import SideKeeper
 from twohands.inference.tracker import DEFAULT_SMOOTHING, HandTracker, RangeSmoothing
 from twohands.inference.trail import Trail
+from twohands.inference.turning import told_turn
 from twohands.types import TwoHandPose
 
 Estimate = Callable[[Trail | None], TwoHandPose]
@@ -25,14 +28,15 @@ Estimate = Callable[[Trail | None], TwoHandPose]
 class VideoEstimator:
     """Takes the estimates of one clip's frames in their order; one instance per clip, or `reset` between clips.
 
-    State: the last estimates, how long HandSegNet has rested, which side hands are of, the queues of ranges.
+    State: the last estimates, how long HandSegNet has rested, which side hands are of, by how many quarters the camera
+    is turned, the queues of ranges.
 
     Args:
         smoothing: of the ranges; None leaves them, and leaving hands, as they are.
         carried_frames: for how many frames a leaving hand is carried on.
         rest_frames: for how many frames in a row HandSegNet may rest while hands are followed (`longest_rest`); 0 for
             never.
-        decision: of the weights' card, how what frames say of sides adds up.
+        decision: of the weights' card, how what frames say of sides, and of the camera's turn, adds up.
 
     Attributes:
         frames: how many there were, over all clips.
@@ -55,6 +59,7 @@ class VideoEstimator:
         self._tracker = None if smoothing is None else HandTracker(smoothing, carried_frames)
         self._rest_frames = rest_frames
         self._sides = SideKeeper(decision)
+        self._decision = DecisionConfig() if decision is None else decision
         self.frames = self.rested = 0
         self.reset()
 
@@ -67,6 +72,7 @@ class VideoEstimator:
         """Forget everything about the clip."""
         self._last: tuple[TwoHandPose, ...] = ()
         self._seen: TwoHandPose | None = None
+        self._turn: np.ndarray | None = None
         self._resting, self._steady = 0, False
         self._sides.reset()
         if self._tracker is not None:
@@ -89,6 +95,7 @@ class VideoEstimator:
         pose = self._sides.kept(estimate(trail))
         smooth = pose if self._tracker is None else self._tracker.update(pose)
         self._sides.remember(pose)
+        self._turn = told_turn(self._turn, pose, self._decision)
         self._steady = pose.followed or as_expected(pose, trail)
         self._last = (*self._last[-1:], pose)
         self._resting = self._resting + 1 if pose.followed else 0
@@ -102,4 +109,4 @@ class VideoEstimator:
         sides = self._sides.memory
         longest = longest_rest(self._last[-1], self._rest_frames)
         rests = self._steady and self._resting < longest and not sides.misses_one
-        return Trail(self._last, self._seen, rests, sides)
+        return Trail(self._last, self._seen, rests, sides, self._turn)

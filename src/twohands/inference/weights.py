@@ -2,7 +2,8 @@
 
 A preset is a folder::
 
-    <preset>/hand_seg_net.onnx   (B, 3, h, w) -> seg_logits (B, 3, h', w'), energy_logits (B, 2, h', w')
+    <preset>/hand_seg_net.onnx   (B, 3, h, w) -> seg_logits (B, 3, h', w'), energy_logits (B, 2, h', w'); if it says
+                                 how a picture is turned, also turn_maps (B, 36, h'', w'')
              pose_net_2d.onnx    (B, 3, S, S) -> heatmaps (B, 21 + cues, M, M), as the third network takes them; with a
                                  hand classifier, also hand_logit (B, 1)
              pose_net_3d.onnx    (B, 21 + cues, M, M) -> canonical (B, 21, 3), left-like hand
@@ -78,6 +79,7 @@ class WeightsCard:
     Attributes:
         name: the preset's name, written into results.
         seg_input_size: (height, width) of HandSegNet's input in pixels, for the first view of a picture.
+        says_turn: whether HandSegNet also says by how many quarters a picture is turned; "turn" of its config.
         crop_size: side of the square PoseNet2D input in pixels.
         crop_kind: "square" (the paper's crop) or "perspective" (a virtual camera looking at the hand).
         crop_margin: crop side over the larger side of the hand's box.
@@ -104,6 +106,7 @@ class WeightsCard:
     background: float = 0.0
     hand_logit: bool = False
     cues: int = 0
+    says_turn: bool = False
     networks: Mapping[str, str] = field(default_factory=dict)
     int8: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     check_size: int = 0
@@ -181,6 +184,7 @@ class WeightsCard:
                 background=float(pose.get("background", 0.0)),
                 hand_logit=bool(pose.get("judge", False)),
                 cues=int(pose.get("cues", 0)),
+                says_turn=bool(seg.get("turn", False)),
                 networks={str(name): str(folder) for name, folder in card.get("networks", {}).items()},
                 int8=_peaks(card.get("int8", {})),
                 check_size=0 if check is None else int(check["crop_size"]),

@@ -177,6 +177,7 @@ class PretrainedEncoderDecoder(nn.Module):
         self.bottom_channels = self.encoder.channels[-1]
         sizes = [scaled(c, width) for c in DECODER_CHANNELS][::-1]
         skips = self.encoder.channels[1:][::-1]
+        self.context_channels = sizes[0]
         self.bottom = conv_bn_relu(skips[0], sizes[0], 1)
         self.context = nn.Sequential(*(BasicBlock(sizes[0], sizes[0]) for _ in range(context)))
         for name, parameter in self.context.named_parameters():
@@ -203,10 +204,18 @@ class PretrainedEncoderDecoder(nn.Module):
 
     def decode(self, encoded: list[Tensor], palm: list[Tensor] | None = None) -> Tensor:
         """What `encode` gave, and the encoder that knows palms, to (B, outputs, H / 4, W / 4)."""
+        return self.refine(self.understand(encoded, palm))
+
+    def understand(self, encoded: list[Tensor], palm: list[Tensor] | None = None) -> list[Tensor]:
+        """The same to the decoder's levels, coarsest first: that one knows of the whole picture."""
         levels = [self.bottom(encoded[-1]), *(skip(x) for skip, x in zip(self.skip, encoded[-2:0:-1], strict=True))]
         if palm is not None:
             levels = [x + skip(also) for x, skip, also in zip(levels, self.palm_skip, palm[:0:-1], strict=True)]
-        x = self.context(levels[0])
+        return [self.context(levels[0]), *levels[1:]]
+
+    def refine(self, levels: list[Tensor]) -> Tensor:
+        """What `understand` gave to (B, outputs, H / 4, W / 4)."""
+        x = levels[0]
         for level, lateral, layer in zip(levels[1:], self.lateral, self.up, strict=True):
             x = nn.functional.interpolate(lateral(x), scale_factor=2.0, mode="nearest")
             x = layer(torch.relu(x + level))

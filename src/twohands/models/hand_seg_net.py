@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal, cast, get_args
 
 from torch import Tensor, nn
 from torch.nn import functional
 
 from twohands.errors import InputError
+from twohands.geometry.segmentation import TURN_AREAS, TURNS
 from twohands.models.blocks import Bottleneck, DeconvBottleneck, calm_output, conv_bn_relu, initialise, scaled
 from twohands.models.efficientnet import PretrainedEncoderDecoder
 from twohands.models.encoder_decoder import EncoderDecoder
@@ -17,6 +18,8 @@ DOWN_PLANES = (64, 128, 256, 512)
 UP_PLANES = (256, 128, 64, 32)
 MAPS = 5
 """3 classes and 2 energies."""
+TURN_MAPS = TURNS * TURN_AREAS**2
+"""Of what is said of the picture's turn: one for every turn and every area of the picture."""
 HandSegNetVariant = Literal["auto-encoder", "encoder-decoder", "efficientnet-lite0"]
 
 
@@ -39,6 +42,9 @@ class HandSegNetConfig:
     palm: bool = False
     """Whether an encoder that knows real hands sees the picture as well, see `models.palm` (efficientnet-lite0
     only)."""
+    turn: bool = False
+    """Whether it also says by how many quarters an upright picture was turned (efficientnet-lite0 only); fitted by
+    scripts/fit_turns.py, since no loss teaches it."""
 
     def __post_init__(self) -> None:
         if self.variant not in get_args(HandSegNetVariant):
@@ -54,6 +60,8 @@ class HandSegNetConfig:
             raise InputError(f"hand_seg_net: {self.variant} cannot have {self.context} blocks of context")
         if self.palm and self.variant != "efficientnet-lite0":
             raise InputError(f"hand_seg_net: {self.variant} cannot have an encoder that knows palms")
+        if self.turn and self.variant != "efficientnet-lite0":
+            raise InputError(f"hand_seg_net: {self.variant} cannot say how a picture is turned")
 
 
 class AutoEncoder(nn.Module):
@@ -113,6 +121,12 @@ class HandSegNet(nn.Module):
         for layer in self.modules():
             if isinstance(layer, nn.Conv2d) and layer.out_channels == MAPS:
                 calm_output(layer)
+        self.turn: nn.Conv2d | None = None
+        if isinstance(self.net, PretrainedEncoderDecoder) and config.turn:
+            self.turn = nn.Conv2d(self.net.context_channels, TURN_MAPS, 1)
+            nn.init.zeros_(self.turn.weight)  # it says nothing
+            nn.init.zeros_(cast(Tensor, self.turn.bias))
+            self.turn.requires_grad_(False)
 
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
         """Logits of masks and energies.
@@ -129,7 +143,17 @@ class HandSegNet(nn.Module):
             maps = functional.interpolate(maps, size=x.shape[-2:], mode="bilinear", align_corners=False)
         return maps[:, :3], maps[:, 3:]
 
-    def coarse(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """The same before it is enlarged: (B, 3, h, w) and (B, 2, h, w), of the U-shapes smaller than the input."""
-        maps = self.net(x)
-        return maps[:, :3], maps[:, 3:]
+    def coarse(self, x: Tensor) -> tuple[Tensor, ...]:
+        """The same before it is enlarged: (B, 3, h, w) and (B, 2, h, w), of the U-shapes smaller than the input; and of
+        a network that says how a picture is turned, `TURN_MAPS` for `geometry.segmentation.turn_logits`."""
+        if self.turn is None:
+            maps = self.net(x)
+            return maps[:, :3], maps[:, 3:]
+        levels = self.levels(x)
+        maps = cast(PretrainedEncoderDecoder, self.net).refine(levels)
+        return maps[:, :3], maps[:, 3:], self.turn(levels[0])
+
+    def levels(self, x: Tensor) -> list[Tensor]:
+        """`PretrainedEncoderDecoder.understand` of pictures (B, 3, H, W); of variant efficientnet-lite0 alone."""
+        net = cast(PretrainedEncoderDecoder, self.net)
+        return net.understand(net.encode(x), None if net.palm is None else net.palm(x))
