@@ -193,7 +193,18 @@ def test_a_picture_that_says_upright_of_every_view_is_taken_as_it_is():
 
     eye = Fickle(0, 0.0)
     pose = upright_first(eye, marked_picture(), CAMERA, None, CONFIG)
-    assert eye.views == [0, 3] and np.array_equal(pose.turn_logits, [0.0, 10.0, 0.0, 0.0])
+    assert eye.views == [0, 3] and pose.turn_logits is None
+
+
+def test_a_turn_that_loses_a_hand_is_not_believed():
+    class Loses(Eye):
+        def __call__(self, image: np.ndarray, camera: PinholeCamera, trail: Trail | None) -> TwoHandPose:
+            pose = super().__call__(image, camera, trail)
+            return replace(pose, left=HandPose(present=self.views[-1] == 0))
+
+    eye = Loses(2, 10.0)
+    pose = upright_first(eye, marked_picture(), CAMERA, None, CONFIG)
+    assert eye.views == [0, 2] and pose.left.present and pose.turn_logits is None
 
 
 def test_a_clip_that_is_turned_is_seen_so_at_once():

@@ -33,7 +33,7 @@ def upright_first(
     see: See, image: np.ndarray, camera: PinholeCamera, trail: Trail | None, config: DecisionConfig
 ) -> TwoHandPose:
     """What is found in a picture, seen as the clip has shown it to be turned; and once more where the picture says
-    otherwise, which is believed if it says the same then.
+    otherwise, which is believed if it says the same then and does not show fewer hands.
 
     Args:
         see: finds hands.
@@ -43,7 +43,7 @@ def upright_first(
         config: how frames add up.
 
     Returns:
-        Both hands in the image as it is, with what it says of its turn.
+        Both hands in the image as it is, with what it says of its turn; nothing where that is not believed.
     """
     size = image.shape[0], image.shape[1]
     known = None if trail is None else trail.turn_logits
@@ -61,7 +61,8 @@ def upright_first(
     if turn == first:
         return pose
     again = seen(turn)
-    return again if likely_turn(told_turn(known, again, config)) == turn else pose
+    believed = likely_turn(told_turn(known, again, config)) == turn and _hands(again) >= _hands(pose)
+    return again if believed else replace(pose, turn_logits=None)
 
 
 def told_turn(known: np.ndarray | None, pose: TwoHandPose, config: DecisionConfig) -> np.ndarray | None:
@@ -123,6 +124,10 @@ def turned_trail(trail: Trail, size: tuple[int, int], turn: int) -> Trail:
     seen = last[-1] if trail.seen is trail.last[-1] else turned_pose(trail.seen, turn)
     left, right = (None if track is None else _turned_track(track, size, turn) for track in trail.sides.tracks)
     return Trail(last, seen, trail.may_rest, SideMemory(trail.sides.config, (left, right)), trail.turn_logits)
+
+
+def _hands(pose: TwoHandPose) -> int:
+    return sum(hand.present for hand in pose.hands)
 
 
 def _turned_hand(hand: HandPose, size: tuple[int, int], turn: int) -> HandPose:
