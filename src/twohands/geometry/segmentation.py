@@ -219,9 +219,8 @@ def turn_logits(maps: np.ndarray) -> np.ndarray:
     Returns:
         (TURNS,) sums over areas of the means of their own maps.
     """
-    areas = np.arange(TURN_AREAS**2)
-    of_area = area_means(maps).reshape(TURN_AREAS**2, TURN_AREAS**2, TURNS)
-    return of_area[areas, areas].sum(axis=0)
+    means = area_means(maps)
+    return np.sum([row[TURNS * area : TURNS * (area + 1)] for area, row in enumerate(means)], axis=0)
 
 
 def area_means(maps: np.ndarray) -> NDArray[np.float64]:
