@@ -1,4 +1,4 @@
-"""Fits what HandSegNet says of a picture's turn (`geometry.segmentation.turn_logits`; extras `train`, `synth`,
+"""Fits what HandSegNet says of a picture's turn (`geometry.picture_turn.turn_logits`; extras `train`, `synth`,
 `datasets`).
 
     python -m scripts.fit_turns src/twohands/weights/fast --frames PEOPLE SHOWN WILD PAPER --backgrounds PHOTOS
@@ -32,7 +32,7 @@ from twohands.datasets.digits import Digits
 from twohands.errors import InputError, TwoHandsError
 from twohands.export.onnx import export_network
 from twohands.geometry.network_input import canvas_size, letterbox, network_input
-from twohands.geometry.segmentation import TURN_AREAS, TURNS, area_means
+from twohands.geometry.picture_turn import TURN_AREAS, TURNS, area_means
 from twohands.inference.turning import turned_image
 from twohands.inference.weights import WeightsCard, network_files, read_card, write_card
 from twohands.models.checkpoint import load_network, read_note

@@ -259,6 +259,9 @@ class TwoHandPose:
             video, not exported.
         index, time_s: position in the source.
         followed: whether the hands were looked for only where those of the frame before should be; not exported.
+        turn_logits: (4,) log-odds, against each other, that the picture is an upright one turned by 0 to 3 quarters,
+            counter-clockwise, as this picture alone says; None where nobody says; for the next frame of a video, not
+            exported.
     """
 
     left: HandPose

@@ -15,7 +15,7 @@ pytest.importorskip("onnxscript")
 
 from scripts import fit_turns
 
-from twohands.geometry.segmentation import TURN_AREAS, TURNS, area_means, turn_logits
+from twohands.geometry.picture_turn import TURN_AREAS, TURNS, area_means, turn_logits
 from twohands.inference.engine import load_networks
 from twohands.inference.weights import network_files, preset_folder, read_card
 

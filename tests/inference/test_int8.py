@@ -14,7 +14,8 @@ from twohands.cli.demo import examples_folder
 from twohands.errors import CheckpointError
 from twohands.formats.pictures import list_images, read_image
 from twohands.geometry.network_input import letterbox, network_input
-from twohands.geometry.segmentation import TURN_AREAS, TURNS, masks_from_logits
+from twohands.geometry.picture_turn import TURN_MAPS
+from twohands.geometry.segmentation import masks_from_logits
 from twohands.inference.engine import OpenVinoNetwork, load_networks
 from twohands.inference.int8 import activation_peaks, quantise
 from twohands.inference.runtime import open_core, read_network
@@ -97,7 +98,7 @@ def test_shipped_masks_stay_as_they_are_in_8_bits():
     size = card.seg_input_size
     images = [read_image(path) for path in list_images(examples_folder())]
     canvases = [network_input(letterbox(image, size)[0][None]) for image in images]
-    ports = {"input_channels": 3, "output_channels": (3, 2, TURN_AREAS**2 * TURNS), "any_size": True}
+    ports = {"input_channels": 3, "output_channels": (3, 2, TURN_MAPS), "any_size": True}
     exact, rounded = (
         OpenVinoNetwork(network_file, **ports, int8_peaks=peaks) for peaks in ({}, card.int8["hand_seg_net"])
     )

@@ -9,8 +9,8 @@ import pytest
 
 from twohands.geometry.camera import project
 from twohands.geometry.canonical import camera_from_canonical, canonical_from_camera
+from twohands.geometry.picture_turn import TURN_AREAS, TURNS, turn_logits
 from twohands.geometry.rotation import centring_angles
-from twohands.geometry.segmentation import TURN_AREAS, TURNS, turn_logits
 from twohands.inference.decision import DecisionConfig
 from twohands.inference.side_keeping import SideMemory, Track
 from twohands.inference.trail import Trail

@@ -25,10 +25,6 @@ without hands, 1.7 % of 300 are invented.
 OPENING_SIZE = 5
 """Side of the opening's kernel on a map of REFERENCE_WIDTH; smaller maps take a smaller kernel."""
 REFERENCE_WIDTH = 512
-TURNS = 4
-"""Quarters by which a picture may be turned, none included."""
-TURN_AREAS = 3
-"""The picture has so many rows and columns of areas, each with maps of its own that say how it is turned."""
 UNCERTAIN = 2
 """What is added to a hand's class in masks where a pixel is perhaps that hand's."""
 UNCERTAIN_LEAD = 1.0
@@ -206,34 +202,6 @@ def resized_maps(maps: np.ndarray, size: tuple[int, ...]) -> np.ndarray:
     if maps.shape[1:] == size:
         return maps
     return np.stack([cv2.resize(np.ascontiguousarray(plane), size[::-1]) for plane in maps])
-
-
-def turn_logits(maps: np.ndarray) -> np.ndarray:
-    """Log-odds, against each other, that a picture is an upright one turned by 0 to 3 quarters, counter-clockwise.
-
-    Ours. Where heads, arms and floors are tells how a camera was held.
-
-    Args:
-        maps: (TURN_AREAS^2 * TURNS, h, w), for every area one of every turn.
-
-    Returns:
-        (TURNS,) sums over areas of the means of their own maps.
-    """
-    means = area_means(maps)
-    return np.sum([row[TURNS * area : TURNS * (area + 1)] for area, row in enumerate(means)], axis=0)
-
-
-def area_means(maps: np.ndarray) -> NDArray[np.float64]:
-    """Means of maps (C, h, w) in areas of the picture, in rows from its upper left: (TURN_AREAS^2, C); 0 in an area
-    without a cell."""
-    rows, columns = (np.arange(TURN_AREAS + 1) * size // TURN_AREAS for size in maps.shape[1:])
-    means: NDArray[np.float64] = np.zeros((TURN_AREAS**2, len(maps)))
-    for number in range(TURN_AREAS**2):
-        i, j = divmod(number, TURN_AREAS)
-        area = maps[:, rows[i] : rows[i + 1], columns[j] : columns[j + 1]]
-        if area.size:
-            means[number] = area.mean(axis=(1, 2))
-    return means
 
 
 def boxes_from_energy(

@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from twohands.errors import CheckpointError
-from twohands.geometry.segmentation import TURN_AREAS, TURNS
+from twohands.geometry.picture_turn import TURN_MAPS
 from twohands.inference.int8 import quantise
 from twohands.inference.runtime import open_core, read_network
 from twohands.inference.weights import HAND_CHECK, WeightsCard, network_files, read_card, second_folder
@@ -52,7 +52,7 @@ class Networks:
     Attributes:
         hand_seg_net: (B, 3, h, w), h and w multiples of 32 -> seg_logits (B, 3, h', w') for background, left, right,
             and energy_logits (B, 2, h', w') for left, right; and, if the card says so, the maps that
-            `geometry.segmentation.turn_logits` reads.
+            `geometry.picture_turn.turn_logits` reads.
         pose_net_2d: (B, 3, S, S) -> heatmaps (B, 21 + cues, M, M), and (B,) log-odds that a crop shows a hand of the
             side it was cut for, 0 from a network without a hand classifier.
         pose_net_3d: (B, 21 + cues, M, M) -> canonical joints (B, 21, 3) of a left-like hand.
@@ -179,7 +179,7 @@ def load_networks(folder: Path, card: WeightsCard, threads: int = 0) -> Networks
         outputs = (maps, 1) if card.hand_logit else (maps,)
         return compiled(folder, card, "pose_net_2d", 3, *outputs), compiled(folder, card, "pose_net_3d", maps, N_JOINTS)
 
-    maps = (3, 2, TURNS * TURN_AREAS**2) if card.says_turn else (3, 2)
+    maps = (3, 2, TURN_MAPS) if card.says_turn else (3, 2)
     seg, first = compiled(folder, card, "hand_seg_net", 3, *maps), pose_networks(folder, card)
     used, second = [seg, *first], None
     if card.second:

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from twohands.geometry.network_input import canvas_size, letterbox, network_input
+from twohands.geometry.picture_turn import turn_logits
 from twohands.geometry.segmentation import (
     HandBoxes,
     box_evidence,
@@ -24,7 +25,6 @@ from twohands.geometry.segmentation import (
     parted_boxes,
     probability,
     resized_maps,
-    turn_logits,
     unmirrored,
 )
 from twohands.inference.decision import PictureView, ViewConfig

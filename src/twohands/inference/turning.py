@@ -18,8 +18,8 @@ import numpy as np
 
 from twohands.geometry.boxes import box_from_points
 from twohands.geometry.canonical import unrolled_canonical
+from twohands.geometry.picture_turn import TURNS
 from twohands.geometry.rotation import centring_angles, rotation_about_z, rotation_from_angles
-from twohands.geometry.segmentation import TURNS
 from twohands.inference.decision import DecisionConfig
 from twohands.inference.side_keeping import SideMemory, Track
 from twohands.inference.trail import Trail

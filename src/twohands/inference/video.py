@@ -59,7 +59,6 @@ class VideoEstimator:
         self._tracker = None if smoothing is None else HandTracker(smoothing, carried_frames)
         self._rest_frames = rest_frames
         self._sides = SideKeeper(decision)
-        self._decision = DecisionConfig() if decision is None else decision
         self.frames = self.rested = 0
         self.reset()
 
@@ -95,7 +94,7 @@ class VideoEstimator:
         pose = self._sides.kept(estimate(trail))
         smooth = pose if self._tracker is None else self._tracker.update(pose)
         self._sides.remember(pose)
-        self._turn = told_turn(self._turn, pose, self._decision)
+        self._turn = told_turn(self._turn, pose, self._sides.memory.config)
         self._steady = pose.followed or as_expected(pose, trail)
         self._last = (*self._last[-1:], pose)
         self._resting = self._resting + 1 if pose.followed else 0

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from twohands.errors import InputError
-from twohands.geometry.segmentation import TURN_AREAS, TURNS
+from twohands.geometry.picture_turn import TURN_MAPS
 from twohands.models.blocks import Bottleneck, DeconvBottleneck, calm_output, conv_bn_relu, initialise, scaled
 from twohands.models.efficientnet import PretrainedEncoderDecoder
 from twohands.models.encoder_decoder import EncoderDecoder
@@ -18,8 +18,6 @@ DOWN_PLANES = (64, 128, 256, 512)
 UP_PLANES = (256, 128, 64, 32)
 MAPS = 5
 """3 classes and 2 energies."""
-TURN_MAPS = TURNS * TURN_AREAS**2
-"""Of what is said of the picture's turn: one for every turn and every area of the picture."""
 HandSegNetVariant = Literal["auto-encoder", "encoder-decoder", "efficientnet-lite0"]
 
 
@@ -145,7 +143,7 @@ class HandSegNet(nn.Module):
 
     def coarse(self, x: Tensor) -> tuple[Tensor, ...]:
         """The same before it is enlarged: (B, 3, h, w) and (B, 2, h, w), of the U-shapes smaller than the input; and of
-        a network that says how a picture is turned, `TURN_MAPS` for `geometry.segmentation.turn_logits`."""
+        a network that says how a picture is turned, `TURN_MAPS` for `geometry.picture_turn.turn_logits`."""
         if self.turn is None:
             maps = self.net(x)
             return maps[:, :3], maps[:, 3:]
