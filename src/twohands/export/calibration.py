@@ -11,14 +11,17 @@ from typing import Any, Final
 import numpy as np
 
 from twohands.inference.estimator import HandEstimator
-from twohands.inference.int8 import activation_peaks
-from twohands.inference.weights import write_card
+from twohands.inference.hand_check import check_input
+from twohands.inference.int8 import activation_peaks, worth_rounding
+from twohands.inference.weights import HAND_CHECK, write_card
 from twohands.synth.scene.config import PAPER, WILD
 from twohands.synth.sets.stream import SyntheticStream
 from twohands.types import HandSample
 
 NETWORKS: Final = ("hand_seg_net", "pose_net_2d")
-"""PoseNet3D stays in floating point: it takes a tenth of the time and lost 5 % of accuracy in 8 bits."""
+"""And HandCheck, where there is one. PoseNet3D stays in floating point: it takes a tenth of the time and lost 5 % of accuracy in 8 bits."""
+SHOWN: Final = 24
+"""Inputs that show what an activation's rounding does."""
 SEED: Final = 8
 COUNTS: Final = {PAPER: 64, WILD: 32}
 """Generated pictures of each kind."""
@@ -38,7 +41,8 @@ def generated_pictures() -> Iterator[HandSample]:
 def add_int8(folder: Path, pictures: Iterable[HandSample]) -> None:
     """Let the large networks of a preset run in 8 bits: measure their activations and write the peaks on the card.
 
-    Networks that it takes of another preset keep the peaks that the card has for them.
+    Networks that it takes of another preset keep the peaks that the card has for them, and its second pose networks,
+    which are a preset of their own, theirs.
 
     Args:
         folder: of the preset; its card is replaced.
@@ -54,11 +58,24 @@ def add_int8(folder: Path, pictures: Iterable[HandSample]) -> None:
     inputs: dict[str, list[np.ndarray]] = {name: [] for name in NETWORKS}
     recorders = {name: _recorded(getattr(shipped.networks, name), inputs[name]) for name in NETWORKS}
     estimator = HandEstimator(replace(shipped.networks, **recorders), shipped.card)
+    checks = inputs.setdefault(HAND_CHECK, []) if shipped.card.check_size else None
     for picture in pictures:
-        estimator.estimate(picture.image, picture.camera)
-    own = [name for name in NETWORKS if name not in shipped.card.networks]
-    card["int8"] = kept | {name: activation_peaks(folder / f"{name}.onnx", inputs[name]) for name in own}
+        found = estimator.estimate(picture.image, picture.camera)
+        seen = [hand.joints_px for hand in found.hands if hand.joints_px is not None]
+        if checks is not None and seen:
+            checks.append(check_input(shipped.card, picture.image, np.stack(seen)))
+    card["int8"] = kept | {
+        name: _peaks(folder / f"{name}.onnx", given)
+        for name, given in inputs.items()
+        if name not in shipped.card.networks
+    }
     write_card(folder, card)
+
+
+def _peaks(path: Path, given: list[np.ndarray]) -> dict[str, float]:
+    """Of the activations of a network that are worth rounding."""
+    step = max(1, len(given) // SHOWN)
+    return worth_rounding(path, activation_peaks(path, given), given[::step][:SHOWN])
 
 
 def _recorded(network: Callable[[np.ndarray], Any], inputs: list[np.ndarray]) -> Callable[[np.ndarray], Any]:

@@ -3,12 +3,13 @@
 Weights get one scale per output channel, which they carry in themselves. What follows a ReLU or feeds a convolution
 gets one scale, from a peak that was measured once, on pictures like those to come (`activation_peaks`), and is stored
 in the weights' card. OpenVINO turns the rounding steps that are put in here into 8-bit kernels, three times as fast as
-float32 where the processor has dot products of bytes. What the network is given stays as it is, and so its first layer.
+float32 where the processor has dot products of bytes. What the network is given stays as it is, and so its first layer,
+and what is lost upon by rounding (`worth_rounding`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,10 @@ ACTIVATION_LEVELS = 256
 WEIGHT_LEVELS = 255
 """Symmetric about zero."""
 RECTIFIERS = ("Relu", "Clamp")
+MOST_MOVED = 0.05
+"""An activation whose rounding moves an output by more, root mean square, as a share of the output's standard
+deviation, stays in floating point. Of some published encoders the first depthwise filters, which take differences of
+neighbours, lose by it alone what the networks behind them know (docs/history/journal.md, *What 8 bits cost*)."""
 
 
 def activation_peaks(path: Path, batches: Iterable[np.ndarray]) -> dict[str, float]:
@@ -48,6 +53,33 @@ def activation_peaks(path: Path, batches: Iterable[np.ndarray]) -> dict[str, flo
     return {node.get_friendly_name(): float(peak) for node, peak in zip(nodes, peaks, strict=True) if peak > 0}
 
 
+def worth_rounding(path: Path, peaks: Mapping[str, float], batches: Sequence[np.ndarray]) -> dict[str, float]:
+    """The peaks of those activations that may be rounded: by itself, none moves an output by more than `MOST_MOVED`.
+
+    Args:
+        path: ONNX file.
+        peaks: of `activation_peaks`.
+        batches: inputs, as there; a few show it.
+    """
+    core = open_core()
+
+    def outputs(peaks: Mapping[str, float]) -> list[np.ndarray]:
+        model = read_network(core, path)
+        quantise(model, peaks)
+        model.reshape([-1, model.inputs[0].partial_shape[1], -1, -1])
+        network = core.compile_model(model, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
+        found = [network([np.ascontiguousarray(batch, np.float32)]) for batch in batches]
+        return [np.concatenate([np.ravel(one[port]) for one in found]) for port in network.outputs]
+
+    exact = outputs({})
+
+    def moved(name: str, peak: float) -> float:
+        rounded = outputs({name: peak})
+        return max(float((one - true).std() / max(true.std(), 1e-9)) for one, true in zip(rounded, exact, strict=True))
+
+    return {name: peak for name, peak in peaks.items() if moved(name, peak) <= MOST_MOVED}
+
+
 def quantise(model: Any, peaks: Mapping[str, float]) -> None:
     """Make a network round its activations and weights to 8 bits, in place.
 
@@ -66,7 +98,7 @@ def quantise(model: Any, peaks: Mapping[str, float]) -> None:
     for name, peak in peaks.items():
         node = nodes[name]
         targets = list(node.output(0).get_target_inputs())
-        one_sided = node.get_type_name() in RECTIFIERS
+        one_sided = _never_negative(node)
         low, levels = (0.0, ACTIVATION_LEVELS) if one_sided else (-peak, ACTIVATION_LEVELS - 1)
         rounding = _rounding(node.output(0), np.float32(low), np.float32(peak), levels)
         for target in targets:
@@ -106,6 +138,17 @@ def _activations(model: Any) -> list[Any]:
         if (node.get_type_name() in RECTIFIERS and node.output(0).get_target_inputs())
         or (node.get_friendly_name() in feeding and node.get_type_name() != "Parameter")
     ]
+
+
+def _never_negative(node: Any) -> bool:
+    """Whether nothing below 0 leaves a node: a ReLU, or what ONNX's Clip to [0, 6] is read as, min(max(x, 0), 6)."""
+    kind = node.get_type_name()
+    if kind == "Minimum":
+        return any(_never_negative(value.get_node()) for value in node.input_values())
+    if kind == "Maximum":
+        constants = [value for value in node.input_values() if value.get_node().get_type_name() == "Constant"]
+        return any(constant_values(value).min() >= 0 for value in constants)
+    return kind in RECTIFIERS
 
 
 def _rounding(source: Any, low: Any, high: Any, levels: int) -> Any:

@@ -88,7 +88,7 @@ class WeightsCard:
         hand_logit: whether PoseNet2D also says if its crops show hands; "judge" of the network's config.
         cues: number of maps that PoseNet2D gives beside those of the joints, for PoseNet3D.
         networks: networks that the preset takes of another one -> name of that one's folder, beside its own.
-        int8: networks that run in 8 bits -> name of every ReLU -> largest value after it (`inference.int8`).
+        int8: networks that run in 8 bits -> name of an activation -> its largest size (`inference.int8`).
         check_size: side of the square input of HandCheck in pixels; 0 where the folder has none.
         check_margin: side of its crop over the larger side of the hand's box.
         second: name of the folder, beside its own or among the shipped ones, of the pose networks that look where its
@@ -135,8 +135,11 @@ class WeightsCard:
             raise CheckpointError(f"card: pose_net_2d.background must lie in 0..1, got {self.background}")
         if self.network_input != NETWORK_INPUT:
             raise CheckpointError(f"card: network_input must be {NETWORK_INPUT!r}, got {self.network_input!r}")
-        for key, named in (("networks", self.networks), ("int8", self.int8)):
-            unknown = sorted(set(named) - set(NETWORK_NAMES))
+        for key, named, known in (
+            ("networks", self.networks, NETWORK_NAMES),
+            ("int8", self.int8, (*NETWORK_NAMES, HAND_CHECK)),
+        ):
+            unknown = sorted(set(named) - set(known))
             if unknown:
                 raise CheckpointError(f"card: {key} names unknown networks, {', '.join(unknown)}")
         for key, folders in (("networks", self.networks.values()), ("second", [self.second] if self.second else [])):
