@@ -11,6 +11,7 @@ from twohands.geometry.segmentation import (
     PRESENCE_THRESHOLD,
     boxes_from_energy,
     certain_masks,
+    class_leads,
     energy_box,
     hand_scores,
     masks_from_logits,
@@ -81,6 +82,21 @@ def test_a_rectangle_gives_its_own_box():
     np.testing.assert_array_equal(energy_box(energy), [30, 10, 50, 25])
 
 
+@pytest.mark.parametrize(
+    ("rows", "columns"), [((0, 9), (0, 12)), ((51, 60), (500, 512)), ((30, 31), (7, 8)), ((0, 60), (0, 512))]
+)
+def test_a_rectangle_at_the_edge_keeps_its_box(rows, columns):
+    """The picture's edge opens nothing away; a single cell is a speck."""
+    energy = np.zeros((60, 512))
+    energy[slice(*rows), slice(*columns)] = 0.9
+    energy[0, 300] = 0.9
+    found = energy_box(energy)
+    if rows[1] - rows[0] == 1:
+        assert found is None
+    else:
+        np.testing.assert_array_equal(found, [columns[0], rows[0], columns[1], rows[1]])
+
+
 def test_specks_are_opened_away_and_only_the_largest_blob_counts():
     energy = np.zeros((100, 512))
     energy[20:60, 100:150] = 0.9
@@ -120,7 +136,7 @@ def test_a_score_joins_the_odds_of_energy_and_mask():
     logits[:, 2, 5] = -7.0, np.log(9) + 1.0, 1.0
     logits[:, 0, 0] = 0.0, -3.0, -np.log(4)
     logits[2, 2, 5] = 1.0
-    np.testing.assert_allclose(hand_scores(energies, logits), [6 / 7, 1 / 3], rtol=1e-6)
+    np.testing.assert_allclose(hand_scores(energies, class_leads(logits)), [6 / 7, 1 / 3], rtol=1e-6)
 
 
 def test_boxes_come_in_pixels_of_the_picture():

@@ -6,7 +6,7 @@ import itertools
 import numpy as np
 import pytest
 
-from twohands.geometry.segmentation import BoxEvidence, box_evidence, log_odds, probability
+from twohands.geometry.segmentation import BoxEvidence, box_evidence, class_leads, log_odds, probability
 from twohands.inference.decision import FIRST_FEATURES, LAST_FEATURES, DecisionConfig
 from twohands.inference.detection import corrected_masks
 from twohands.inference.handedness import (
@@ -252,11 +252,32 @@ def test_what_maps_say_in_a_box_by_hand():
     seg_logits[1, 3:5, 2] = 0.0  # the arm is one column
     energies[0, 2, 2], energies[1, 1, 1] = 0.75, 0.5
     boxes_px = np.array([[10.0, 10, 30, 30], [NO] * 4])
-    found = box_evidence(energies, seg_logits, boxes_px, (60, 80))
+    found = box_evidence(energies, class_leads(seg_logits), boxes_px, (60, 80))
     np.testing.assert_allclose(found.energy, [[np.log(3), 0], [0, 0]])
     np.testing.assert_allclose(found.lead, [[3, 0], [-5, 0]])
     np.testing.assert_allclose(found.share, [[1, 0], [0, 0]])
     np.testing.assert_allclose(found.arm, [[(15 - 20) / 20, (40 - 20) / 20], [0, 0]])
+
+
+def test_where_maps_show_a_hand_does_not_change_what_they_say():
+    """Only the part of the maps that shows anything is looked at: moved by whole cells, or beside a region that does
+    not reach into the box, everything stays, and a box that meets no region has no arm."""
+    rng = np.random.default_rng(0)
+    small = np.where(rng.random((2, 7, 9)) < 0.6, rng.uniform(0, 4, (2, 7, 9)), -3).astype(np.float32)
+    found = []
+    for top, left in ((0, 0), (11, 3), (23, 31)):
+        leads, energies = np.full((2, 30, 40), -5, np.float32), np.full((2, 30, 40), 0.1)
+        leads[:, top : top + 7, left : left + 9] = small
+        boxes_px = np.array([[left + 2, top + 1, left + 6, top + 4], [20.0, 0, 24, 5]])
+        found.append(box_evidence(energies, leads, boxes_px, (30, 40)))
+        leads[:, 8, 38] = 6.0  # another region
+        found.append(box_evidence(energies, leads, boxes_px, (30, 40)))
+    assert np.abs(found[0].arm[0]).min() > 0
+    for other in found:
+        np.testing.assert_allclose(other.arm, found[0].arm)
+        np.testing.assert_array_equal(other.share, found[0].share)
+        np.testing.assert_array_equal(other.lead, found[0].lead)
+        assert not other.arm[1].any() and not other.share[:, 1].any()
 
 
 def test_how_far_palms_are_apart():

@@ -17,7 +17,7 @@ from twohands.geometry.network_input import letterbox, network_input
 from twohands.geometry.picture_turn import TURN_MAPS
 from twohands.geometry.segmentation import masks_from_logits
 from twohands.inference.engine import OpenVinoNetwork, load_networks
-from twohands.inference.int8 import activation_peaks, quantise
+from twohands.inference.int8 import activation_peaks, quantise, worth_rounding
 from twohands.inference.runtime import open_core, read_network
 from twohands.inference.weights import DEFAULT_PRESET, preset_folder, read_card
 
@@ -64,6 +64,43 @@ def test_what_is_not_rectified_is_rounded_symmetrically_and_grouped_kernels_by_c
     found = network([np.array([0.52, -2.04], np.float32).reshape(1, 2, 1, 1)])[0]
     # 1.04 -> 1.0, times 3; -4.08 -> -4.1, times -0.5 is 2.05; to a step of the one or the other
     np.testing.assert_allclose(found.ravel(), [3.0, 2.05], atol=0.055)
+
+
+def test_what_a_file_calls_clip_is_never_negative():
+    """ONNX's Clip to [0, 6] comes as min(max(x, 0), 6) and was rounded as if it had either sign: half of the levels
+    were for what never comes."""
+    x = opset.parameter([1, 1, 1, 2], np.float32)
+    clipped = opset.minimum(opset.maximum(x, opset.constant(np.float32(0))), opset.constant(np.float32(6)))
+    clipped.set_friendly_name("clipped")
+    weight = opset.constant(np.ones((1, 1, 1, 1), np.float32))
+    result = opset.convolution(clipped, weight, [1, 1], [0, 0], [0, 0], [1, 1])
+    model = openvino.Model([result], [x])  # pyright: ignore[reportGeneralTypeIssues]
+    quantise(model, {"clipped": 5.1})  # steps of 0.02; with either sign they would be of 0.04
+    network = open_core().compile_model(model, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
+    found = network([np.array([0.021, 1.018], np.float32).reshape(1, 1, 1, 2)])[0]
+    np.testing.assert_allclose(found.ravel(), [0.02, 1.02], atol=1e-3)
+
+
+def test_what_loses_by_rounding_stays_in_floating_point(tmp_path):
+    """The second network's convolution takes the difference of two channels that are nearly alike: in steps of 0.4 of
+    102 nothing is left of it. The first one's takes their sum."""
+    x = opset.parameter([1, 2, 4, 4], np.float32)
+    sums, both = np.array([[1, 1], [1, 1]], np.float32), np.array([[1, -1], [1, 1]], np.float32)
+    outputs = []
+    for name, kernel in (("sum", sums), ("difference", both)):
+        rectified = opset.relu(x)
+        rectified.set_friendly_name(name)
+        weights = opset.constant(kernel[..., None, None])
+        mixed = opset.convolution(rectified, weights, [1, 1], [0, 0], [0, 0], [1, 1])
+        outputs.append(opset.split(mixed, 1, 2).output(0))
+    path = tmp_path / "network.xml"
+    openvino.save_model(openvino.Model(outputs, [x]), path, compress_to_fp16=False)  # pyright: ignore
+    rng = np.random.default_rng(0)
+    common = rng.uniform(0, 102, (8, 1, 1, 4, 4))
+    batches = [(one + [[[[0.0]], [[0.1]]]] * rng.uniform(-1, 1, (1, 2, 4, 4))).astype(np.float32) for one in common]
+    peaks = activation_peaks(path, batches)
+    assert set(peaks) == {"sum", "difference"}
+    assert worth_rounding(path, peaks, batches) == {"sum": peaks["sum"]}
 
 
 def test_peaks_are_the_largest_values_over_all_batches():
@@ -120,5 +157,6 @@ def test_the_card_decides(tmp_path):
     (folder / "card.json").write_text(json.dumps(card))
     read = read_card(folder)
     assert read.int8 == card["int8"]
+    read = dataclasses.replace(read, second="")  # which have a card of their own
     assert "int8" in load_networks(folder, read).runtime
     assert "int8" not in load_networks(folder, dataclasses.replace(read, int8={})).runtime

@@ -19,7 +19,8 @@ from twohands.synth.sets.stream import SyntheticStream
 from twohands.types import HandSample
 
 NETWORKS: Final = ("hand_seg_net", "pose_net_2d")
-"""And HandCheck, where there is one. PoseNet3D stays in floating point: it takes a tenth of the time and lost 5 % of accuracy in 8 bits."""
+"""And HandCheck, where there is one. PoseNet3D stays in floating point: it takes a tenth of the time and lost 5 % of
+accuracy in 8 bits."""
 SHOWN: Final = 24
 """Inputs that show what an activation's rounding does."""
 SEED: Final = 8

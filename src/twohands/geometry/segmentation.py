@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 
 import cv2
 import numpy as np
@@ -138,10 +139,21 @@ def _blobs(energy: np.ndarray) -> np.ndarray:
     """(N, 5) float64 u0, v0, u1, v1 in map cells and area of the components above Otsu's threshold, opened."""
     _, mask = _foreground(energy)
     side = 2 * round((OPENING_SIZE * energy.shape[1] / REFERENCE_WIDTH - 1) / 2) + 1
+    rows, columns = _extent(mask, around=side)
+    mask = mask[rows, columns]
     if side > 1:
         mask = cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((side, side), np.uint8))
     stats = np.asarray(cv2.connectedComponentsWithStats(mask, connectivity=8)[2], np.float64)[1:]
-    return np.concatenate([stats[:, :2], stats[:, :2] + stats[:, 2:4], stats[:, 4:]], axis=1)
+    corners = stats[:, :2] + [columns.start, rows.start]
+    return np.concatenate([corners, corners + stats[:, 2:4], stats[:, 4:]], axis=1)
+
+
+def _extent(mask: np.ndarray, around: int = 0) -> tuple[slice, slice]:
+    """Rows and columns of the smallest part of a mask (h, w) uint8 that holds all of it, with so many cells around it
+    as there are; at least one cell."""
+    left, top, width, height = cv2.boundingRect(mask)
+    rows = slice(max(0, top - around), min(mask.shape[0], top + max(1, height) + around))
+    return rows, slice(max(0, left - around), min(mask.shape[1], left + max(1, width) + around))
 
 
 def log_odds(probabilities: np.ndarray) -> np.ndarray:
@@ -156,22 +168,36 @@ def probability(logits: np.ndarray) -> np.ndarray:
         return 1 / (1 + np.exp(-logits))
 
 
-def hand_scores(energies: np.ndarray, seg_logits: np.ndarray) -> np.ndarray:
+def class_leads(seg_logits: np.ndarray) -> NDArray[np.float32]:
+    """Each side's lead over the next class, in logits.
+
+    Args:
+        seg_logits: (3, h, w) for background, left, right.
+
+    Returns:
+        (2, h, w) for LEFT and RIGHT.
+    """
+    planes = np.ascontiguousarray(seg_logits, np.float32)
+    leads = np.empty((2, *planes.shape[1:]), np.float32)
+    for side in (0, 1):
+        cv2.subtract(planes[1 + side], cv2.max(planes[0], planes[2 - side]), dst=leads[side])
+    return leads
+
+
+def hand_scores(energies: np.ndarray, leads: np.ndarray) -> np.ndarray:
     """How sure HandSegNet is that each hand is there.
 
     Ours; the paper looks at the energy alone. Where energy and mask disagree, most often nothing is there.
 
     Args:
         energies: (2, h, w) for LEFT and RIGHT, 0..1, covering the whole picture.
-        seg_logits: (3, h, w) for background, left, right.
+        leads: (2, h, w) as `class_leads` gives them.
 
     Returns:
         (2,) 0..1: the mean, as log-odds, of the energy's peak and of the mask's lead over the next class where it is
         most certain.
     """
-    planes = np.ascontiguousarray(seg_logits, np.float32)
-    leads = [float(np.max(planes[1 + side] - np.maximum(planes[0], planes[2 - side]))) for side in (0, 1)]
-    return probability((log_odds(energies.max(axis=(1, 2))) + leads) / 2)
+    return probability((log_odds(energies.max(axis=(1, 2))) + np.float64(leads.max(axis=(1, 2)))) / 2)
 
 
 def unmirrored(seg_logits: np.ndarray, energy_logits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -193,7 +219,8 @@ def mean_of_views(views: Sequence[tuple[np.ndarray, ...]]) -> tuple[np.ndarray, 
         views: of each the same maps, (C, h, w), each covering the whole picture at a resolution of its own.
     """
     size = max(view[0].shape[1:] for view in views)
-    return tuple(np.mean([resized_maps(maps, size) for maps in same], axis=0) for same in zip(*views, strict=True))
+    sums = (reduce(np.add, [resized_maps(maps, size) for maps in same]) for same in zip(*views, strict=True))
+    return tuple(total / len(views) for total in sums)
 
 
 def resized_maps(maps: np.ndarray, size: tuple[int, ...]) -> np.ndarray:
@@ -201,7 +228,10 @@ def resized_maps(maps: np.ndarray, size: tuple[int, ...]) -> np.ndarray:
     interpolation. The same array where they are as many."""
     if maps.shape[1:] == size:
         return maps
-    return np.stack([cv2.resize(np.ascontiguousarray(plane), size[::-1]) for plane in maps])
+    resized = np.empty((len(maps), *size), maps.dtype)
+    for plane, target in zip(maps, resized, strict=True):
+        cv2.resize(np.ascontiguousarray(plane), size[::-1], dst=target)
+    return resized
 
 
 def boxes_from_energy(
@@ -296,9 +326,7 @@ def parted_masks(masks: np.ndarray, boxes_px: np.ndarray) -> np.ndarray:
 
 def _regions(mask: NDArray[np.bool_]) -> NDArray[np.int32]:
     """(H, W) the number of every pixel's connected region, from 1; 0 outside the mask."""
-    regions = np.zeros(mask.shape, np.int32)
-    cv2.connectedComponents(mask.astype(np.uint8), regions, connectivity=8)
-    return regions
+    return np.asarray(cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)[1], np.int32)
 
 
 def _overlap_share(box: np.ndarray, other: np.ndarray) -> float:
@@ -309,35 +337,55 @@ def _overlap_share(box: np.ndarray, other: np.ndarray) -> float:
 
 
 def box_evidence(
-    energies: np.ndarray, seg_logits: np.ndarray, boxes_px: np.ndarray, image_size: tuple[int, int]
+    energies: np.ndarray, leads: np.ndarray, boxes_px: np.ndarray, image_size: tuple[int, int]
 ) -> BoxEvidence:
     """What both sides' maps say inside each box: HandSegNet may have found a hand as the wrong one.
 
     Args:
         energies: (2, h, w) for LEFT and RIGHT, 0..1, covering the whole picture.
-        seg_logits: (3, h', w') for background, left, right.
+        leads: (2, h', w') as `class_leads` gives them.
         boxes_px: (2, 4) u0, v0, u1, v1; NaN for one that is missing.
         image_size: (H, W) of the picture.
     """
-    planes = np.asarray(seg_logits, np.float32)
-    leads = np.stack([planes[1 + side] - np.maximum(planes[0], planes[2 - side]) for side in (0, 1)])
     energy, lead, share, arm = np.zeros((4, 2, 2))
-    regions = _regions(leads.max(axis=0) > 0)
-    cell_px = np.array([image_size[1] / planes.shape[2], image_size[0] / planes.shape[1]])
+    cell_px = np.array([image_size[1] / leads.shape[2], image_size[0] / leads.shape[1]])
+    shown = (leads[0] > 0) | (leads[1] > 0)
+    extent = _extent(shown.view(np.uint8))
+    regions = _regions(shown[extent])
     for box in np.flatnonzero(np.isfinite(boxes_px).all(axis=1)):
         rows, columns = _cells(boxes_px[box], image_size, energies.shape[1:])
         energy[:, box] = log_odds(energies[:, rows, columns].max(axis=(1, 2)))
-        cells = rows, columns = _cells(boxes_px[box], image_size, planes.shape[1:])
+        cells = rows, columns = _cells(boxes_px[box], image_size, leads.shape[1:])
         inside = leads[:, rows, columns]
         lead[:, box], share[:, box] = inside.max(axis=(1, 2)), (inside > 0).mean(axis=(1, 2))
-        outside = np.isin(regions, np.setdiff1d(regions[cells], [0]))
-        outside[cells] = False
-        rows, columns = np.nonzero(outside)
-        if len(rows):
+        outside = _rest_of_regions(regions, *(_within(part, whole) for part, whole in zip(cells, extent, strict=True)))
+        total = outside.sum()
+        if total:
+            counts = outside.sum(axis=0), outside.sum(axis=1)
+            means = [
+                counted @ np.arange(whole.start, whole.start + len(counted)) / total
+                for counted, whole in zip(counts, extent[::-1], strict=True)
+            ]
             middle_px = (boxes_px[box, :2] + boxes_px[box, 2:]) / 2
-            away_px = (np.array([columns.mean(), rows.mean()]) + 0.5) * cell_px - middle_px
+            away_px = (np.array(means) + 0.5) * cell_px - middle_px
             arm[box] = away_px / (boxes_px[box, 2:] - boxes_px[box, :2]).max()
     return BoxEvidence(energy, lead, share, arm)
+
+
+def _rest_of_regions(regions: NDArray[np.int32], rows: slice, columns: slice) -> NDArray[np.bool_]:
+    """(h, w) what the regions that reach into a part of their map have outside it."""
+    touched = np.zeros(regions.max() + 1, bool)
+    touched[regions[rows, columns]] = True
+    touched[0] = False
+    rest = touched[regions]
+    rest[rows, columns] = False
+    return rest
+
+
+def _within(part: slice, whole: slice) -> slice:
+    """A slice of all rows as one of the rows of `whole`; empty where it has none of them."""
+    start, stop = max(part.start, whole.start), min(part.stop, whole.stop)
+    return slice(start - whole.start, max(start, stop) - whole.start)
 
 
 def _cells(box_px: np.ndarray, image_size: tuple[int, int], map_size: tuple[int, ...]) -> tuple[slice, slice]:

@@ -151,7 +151,7 @@ class HandFinder:
         if not len(rows):
             return found
         sides = first.sides[rows]
-        second = self._second(found.masks, boxes_px, sides, None if joints_px is None else joints_px[sides])
+        second = self._second(found.masks, boxes_px, first.rows(rows), None if joints_px is None else joints_px[sides])
         better = knows_better(first.rows(rows), second, config) | (False if lost is None else lost[rows])
         better = np.flatnonzero(better)
         if not len(better):
@@ -167,18 +167,34 @@ class HandFinder:
     ) -> tuple[Keypoints, Keypoints]:
         """Keypoints by the first and by the second pose networks; arguments as of `looked`."""
         first = self.looked(masks, boxes_px, crops)
-        return first, self._second(masks, boxes_px, first.sides, None)
+        return first, self._second(masks, boxes_px, first, None)
 
     def _second(
-        self, masks: np.ndarray, boxes_px: np.ndarray, sides: np.ndarray, joints_px: np.ndarray | None
+        self, masks: np.ndarray, boxes_px: np.ndarray, first: Keypoints, joints_px: np.ndarray | None
     ) -> Keypoints:
-        """Keypoints of the hands of B sides by the second pose networks; (B, 21, 2) joints, otherwise as
-        `seen_better`."""
-        if joints_px is None:
-            crops = self.crops(masks, boxes_px, sides, pair=1)
-        else:
+        """Keypoints of B hands by the second pose networks, of what the first ones see of them, and (B, 21, 2) joints,
+        otherwise as `seen_better`. Where nothing is expected, those say how a hand is turned."""
+        sides = first.sides
+        if joints_px is not None:
             crops = self.joint_crops(masks, boxes_px, joints_px, sides, np.ones(len(sides), int))
+        else:
+            rolls_deg = upright_roll_deg(first.joints_px)
+            turned = self._turned(first.joints_px, rolls_deg, self.stages.of_pair(1).card.views.upright_within_deg)
+            crops = self.crops(masks, boxes_px, sides, pair=1)
+            for row in np.flatnonzero(turned):
+                crops[row] = self._rolled_crop(masks, boxes_px, int(sides[row]), 1, float(rolls_deg[row]))
         return self._uprighted(masks, boxes_px, self.stages.keypoints(crops))
+
+    def _turned(self, joints_px: np.ndarray, off_deg: np.ndarray, within_deg: float | np.ndarray) -> np.ndarray:
+        """(B,) bool: the hands that can be seen of which the fingers point farther from up."""
+        seen = in_sight(joints_px, self.size, self.card.views.smallest_box_px)
+        return seen & (np.abs(off_deg) > within_deg)
+
+    def _rolled_crop(self, masks: np.ndarray, boxes_px: np.ndarray, side: int, pair: int, roll_deg: float) -> HandCrop:
+        """Crop of a side's box for a pair of pose networks, as a camera sees it that is rolled."""
+        stages, around_px = self.stages.of_pair(pair), ellipse_in(self._continued(boxes_px[side]))
+        box_px = rolled_hand_box(stages.card, around_px, self.size, self.camera, roll_deg)
+        return stages.crop(self.image, masks, box_px, side, self.camera, roll_deg)
 
     def joint_crops(
         self, masks: np.ndarray, boxes_px: np.ndarray, joints_px: np.ndarray, sides: np.ndarray, pairs: np.ndarray
@@ -211,17 +227,14 @@ class HandFinder:
         if not any(each.upright for each in views):
             return keypoints
         within_deg = np.array([each.upright_within_deg for each in views])
-        seen = in_sight(keypoints.joints_px, self.size, self.card.views.smallest_box_px)
-        again = np.flatnonzero(seen & (np.abs(off_upright_deg(keypoints)) > within_deg))
+        again = np.flatnonzero(self._turned(keypoints.joints_px, off_upright_deg(keypoints), within_deg))
         if not len(again):
             return keypoints
         crops = []
         for row in again:
-            side, stages = keypoints.crops[row].side, self.stages.of_pair(keypoints.crops[row].pair)
             roll_deg = float(upright_roll_deg(keypoints.joints_px[row]))
-            around_px = ellipse_in(self._continued(boxes_px[side]))
-            box_px = rolled_hand_box(stages.card, around_px, self.size, self.camera, roll_deg)
-            crops.append(stages.crop(self.image, masks, box_px, side, self.camera, roll_deg))
+            crop = keypoints.crops[row]
+            crops.append(self._rolled_crop(masks, boxes_px, crop.side, crop.pair, roll_deg))
         return keypoints.replaced(again, self.stages.keypoints(crops))
 
     def decided(self, found: Detection, trail: Trail | None) -> Detection:
@@ -251,17 +264,16 @@ class HandFinder:
         pose, joints = np.full((2, 2, 2), np.nan)
         alone = {(side, side): seen.rows([i]) for i, side in enumerate(seen.sides)}
         doubtful = bool((seen.hand_logits < rules.mirror_below_logit).any())
-        if doubtful:  # of two, both: they may have been exchanged
-            other = self.stages.keypoints([mirror_crop(crop) for crop in seen.crops])
-            alone |= {(1 - side, side): other.rows([i]) for i, side in enumerate(seen.sides)}
+        mirrored, merged = self._seen_again(found, doubtful, box_iou(*boxes.boxes_px) >= rules.same_place_iou)
+        if mirrored is not None:
+            alone |= {(1 - side, side): mirrored.rows([i]) for i, side in enumerate(seen.sides)}
         for where, view in alone.items():
             pose[where], joints[where] = view.hand_logits[0], view.joint_scores.mean()
         distance = palm_distance(seen.joints_px, boxes.boxes_px) if len(seen.sides) == 2 else math.inf
-        merged = self._merged(found) if box_iou(*boxes.boxes_px) >= rules.same_place_iou else None
         together = (None, None) if merged is None else (merged.hand_logits, merged.joint_scores.mean(axis=-1))
         doubtful = doubtful or merged is not None
         checks = self._checked(seen, merged) if doubtful else np.full((3, 2), np.nan)
-        maps = boxes.evidence or box_evidence(np.zeros((2, 1, 1)), np.zeros((3, 1, 1)), np.full((2, 4), np.nan), (1, 1))
+        maps = boxes.evidence or box_evidence(*np.zeros((2, 2, 1, 1)), np.full((2, 4), np.nan), (1, 1))
         said = {"check": checks[:2], "merged_check": checks[2]}
         known = Evidence(self.size, boxes.boxes_px, maps, pose, joints, *together, distance, before, **said)
         return known, CandidateViews(alone, merged)
@@ -352,13 +364,26 @@ class HandFinder:
         height, width = self.size
         return replace(boxes, boxes_px=np.asarray(box_in_picture(boxes.boxes_px.reshape(2, 2, 2), width, height)))
 
-    def _merged(self, found: Detection) -> Keypoints:
+    def _seen_again(
+        self, found: Detection, doubtful: bool, together: bool
+    ) -> tuple[Keypoints | None, Keypoints | None]:
+        """Candidates mirrored, if `doubtful`: of two, both, as they may have been exchanged. And both as one hand, LEFT
+        and RIGHT, if they are `together`. In one call, for which the network reads its weights once."""
+        mirrored = [mirror_crop(crop) for crop in found.keypoints.crops] if doubtful else []
+        merged = self._merged_crops(found) if together else []
+        if not mirrored + merged:
+            return None, None
+        seen, count = self.stages.keypoints(mirrored + merged), len(mirrored)
+        of_merged = seen.rows(range(count, count + len(merged))) if together else None
+        return seen.rows(range(count)) if doubtful else None, of_merged
+
+    def _merged_crops(self, found: Detection) -> list[HandCrop]:
         """Both candidates as one hand, LEFT and RIGHT."""
         crops = []
         for side in (LEFT, RIGHT):
             masks, box_px = as_one_hand(found.masks, found.boxes.boxes_px, side)
             crops.append(self.stages.crop(self.image, masks, self._to_cut(self.card, box_px), side, self.camera))
-        return self.stages.keypoints(crops)
+        return crops
 
     def _answered(self, found: Detection, source: np.ndarray, scores: np.ndarray) -> tuple[np.ndarray, HandBoxes]:
         """Masks, known ones as they are, and boxes that agree with an answer, `Assignment.source`."""

@@ -19,6 +19,7 @@ from twohands.geometry.segmentation import (
     HandBoxes,
     box_evidence,
     boxes_from_energy,
+    class_leads,
     hand_scores,
     masks_from_logits,
     mean_of_views,
@@ -39,14 +40,22 @@ class HandMaps(NamedTuple):
     Attributes:
         seg_logits: (3, h, w) for background, left, right.
         energies: (2, h, w) for LEFT and RIGHT, 0..1.
+        leads: (2, h, w) `class_leads`.
         scores: (2,) `hand_scores`, 0..1.
         turn_logits: (4,) as in `TwoHandPose`; None where HandSegNet does not say.
     """
 
     seg_logits: np.ndarray
     energies: np.ndarray
+    leads: np.ndarray
     scores: np.ndarray
     turn_logits: np.ndarray | None = None
+
+    @classmethod
+    def of(cls, seg_logits: np.ndarray, energies: np.ndarray, turn_logits: np.ndarray | None = None) -> HandMaps:
+        """With what follows from the maps."""
+        leads = class_leads(seg_logits)
+        return cls(seg_logits, energies, leads, hand_scores(energies, leads), turn_logits)
 
 
 class View(NamedTuple):
@@ -103,8 +112,7 @@ def picture_maps(network: HandSegNet, card: WeightsCard, image: np.ndarray) -> H
 
 def scored(seg_logits: np.ndarray, energy_logits: np.ndarray, said: np.ndarray | None = None) -> HandMaps:
     """Maps with their scores, of logits (3, h, w) and (2, h, w), and what is said of the turn."""
-    energies = probability(energy_logits)
-    return HandMaps(seg_logits, energies, hand_scores(energies, seg_logits), said)
+    return HandMaps.of(seg_logits, probability(energy_logits), said)
 
 
 def closer_part(maps: HandMaps, image_size: tuple[int, int], views: ViewConfig) -> tuple[slice, slice] | None:
@@ -149,12 +157,13 @@ def with_part(maps: HandMaps, closer: HandMaps, part: tuple[slice, slice], image
         where.append(slice(start, start + cells))
 
     def merged(whole: np.ndarray, detail: np.ndarray) -> np.ndarray:
-        planes = np.array(resized_maps(whole, tuple(size)))
+        planes = resized_maps(whole, tuple(size))
+        planes = planes.copy() if planes is whole else planes
         planes[:, where[0], where[1]] = detail
         return planes
 
     seg_logits, energies = merged(maps.seg_logits, closer.seg_logits), merged(maps.energies, closer.energies)
-    return HandMaps(seg_logits, energies, hand_scores(energies, seg_logits), maps.turn_logits)
+    return HandMaps.of(seg_logits, energies, maps.turn_logits)
 
 
 def candidate_boxes(
@@ -175,7 +184,7 @@ def candidate_boxes(
         return boxes
     if present is None:
         boxes = parted_boxes(boxes, maps.energies, image_size, rules.candidate_threshold, rules.same_place_iou)
-    return replace(boxes, evidence=box_evidence(maps.energies, maps.seg_logits, boxes.boxes_px, image_size))
+    return replace(boxes, evidence=box_evidence(maps.energies, maps.leads, boxes.boxes_px, image_size))
 
 
 def hand_masks(card: WeightsCard, maps: HandMaps, image_size: tuple[int, int], present: np.ndarray) -> np.ndarray:
