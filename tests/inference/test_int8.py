@@ -66,21 +66,6 @@ def test_what_is_not_rectified_is_rounded_symmetrically_and_grouped_kernels_by_c
     np.testing.assert_allclose(found.ravel(), [3.0, 2.05], atol=0.055)
 
 
-def test_what_a_file_calls_clip_is_never_negative():
-    """ONNX's Clip to [0, 6] comes as min(max(x, 0), 6) and was rounded as if it had either sign: half of the levels
-    were for what never comes."""
-    x = opset.parameter([1, 1, 1, 2], np.float32)
-    clipped = opset.minimum(opset.maximum(x, opset.constant(np.float32(0))), opset.constant(np.float32(6)))
-    clipped.set_friendly_name("clipped")
-    weight = opset.constant(np.ones((1, 1, 1, 1), np.float32))
-    result = opset.convolution(clipped, weight, [1, 1], [0, 0], [0, 0], [1, 1])
-    model = openvino.Model([result], [x])  # pyright: ignore[reportGeneralTypeIssues]
-    quantise(model, {"clipped": 5.1})  # steps of 0.02; with either sign they would be of 0.04
-    network = open_core().compile_model(model, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
-    found = network([np.array([0.021, 1.018], np.float32).reshape(1, 1, 1, 2)])[0]
-    np.testing.assert_allclose(found.ravel(), [0.02, 1.02], atol=1e-3)
-
-
 def test_what_loses_by_rounding_stays_in_floating_point(tmp_path):
     """The second network's convolution takes the difference of two channels that are nearly alike: in steps of 0.4 of
     102 nothing is left of it. The first one's takes their sum."""

@@ -23,6 +23,8 @@ ACTIVATION_LEVELS = 256
 WEIGHT_LEVELS = 255
 """Symmetric about zero."""
 RECTIFIERS = ("Relu", "Clamp")
+"""What is rounded from 0 on. ReLU6 comes as min(max(x, 0), 6) and is rounded as if it had either sign: the shipped
+HandSegNet and its decision were chosen so (docs/history/journal.md, *What 8 bits cost*)."""
 MOST_MOVED = 0.05
 """An activation whose rounding moves an output by more, root mean square, as a share of the output's standard
 deviation, stays in floating point. Of some published encoders the first depthwise filters, which take differences of
@@ -98,7 +100,7 @@ def quantise(model: Any, peaks: Mapping[str, float]) -> None:
     for name, peak in peaks.items():
         node = nodes[name]
         targets = list(node.output(0).get_target_inputs())
-        one_sided = _never_negative(node)
+        one_sided = node.get_type_name() in RECTIFIERS
         low, levels = (0.0, ACTIVATION_LEVELS) if one_sided else (-peak, ACTIVATION_LEVELS - 1)
         rounding = _rounding(node.output(0), np.float32(low), np.float32(peak), levels)
         for target in targets:
@@ -138,17 +140,6 @@ def _activations(model: Any) -> list[Any]:
         if (node.get_type_name() in RECTIFIERS and node.output(0).get_target_inputs())
         or (node.get_friendly_name() in feeding and node.get_type_name() != "Parameter")
     ]
-
-
-def _never_negative(node: Any) -> bool:
-    """Whether nothing below 0 leaves a node: a ReLU, or what ONNX's Clip to [0, 6] is read as, min(max(x, 0), 6)."""
-    kind = node.get_type_name()
-    if kind == "Minimum":
-        return any(_never_negative(value.get_node()) for value in node.input_values())
-    if kind == "Maximum":
-        constants = [value for value in node.input_values() if value.get_node().get_type_name() == "Constant"]
-        return any(constant_values(value).min() >= 0 for value in constants)
-    return kind in RECTIFIERS
 
 
 def _rounding(source: Any, low: Any, high: Any, levels: int) -> Any:
