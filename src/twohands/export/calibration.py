@@ -11,16 +11,14 @@ from typing import Any, Final
 import numpy as np
 
 from twohands.inference.estimator import HandEstimator
-from twohands.inference.hand_check import check_input
 from twohands.inference.int8 import activation_peaks, worth_rounding
-from twohands.inference.weights import HAND_CHECK, write_card
+from twohands.inference.weights import write_card
 from twohands.synth.scene.config import PAPER, WILD
 from twohands.synth.sets.stream import SyntheticStream
 from twohands.types import HandSample
 
 NETWORKS: Final = ("hand_seg_net", "pose_net_2d")
-"""And HandCheck, where there is one. PoseNet3D stays in floating point: it takes a tenth of the time and lost 5 % of
-accuracy in 8 bits."""
+"""PoseNet3D stays in floating point: it takes a tenth of the time and lost 5 % of accuracy in 8 bits."""
 SHOWN: Final = 24
 """Inputs that show what an activation's rounding does."""
 SEED: Final = 8
@@ -59,17 +57,10 @@ def add_int8(folder: Path, pictures: Iterable[HandSample]) -> None:
     inputs: dict[str, list[np.ndarray]] = {name: [] for name in NETWORKS}
     recorders = {name: _recorded(getattr(shipped.networks, name), inputs[name]) for name in NETWORKS}
     estimator = HandEstimator(replace(shipped.networks, **recorders), shipped.card)
-    checks = inputs.setdefault(HAND_CHECK, []) if shipped.card.check_size else None
     for picture in pictures:
-        found = estimator.estimate(picture.image, picture.camera)
-        seen = [hand.joints_px for hand in found.hands if hand.joints_px is not None]
-        if checks is not None and seen:
-            checks.append(check_input(shipped.card, picture.image, np.stack(seen)))
-    card["int8"] = kept | {
-        name: _peaks(folder / f"{name}.onnx", given)
-        for name, given in inputs.items()
-        if name not in shipped.card.networks
-    }
+        estimator.estimate(picture.image, picture.camera)
+    own = [name for name in NETWORKS if name not in shipped.card.networks]
+    card["int8"] = kept | {name: _peaks(folder / f"{name}.onnx", inputs[name]) for name in own}
     write_card(folder, card)
 
 

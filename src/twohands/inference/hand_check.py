@@ -25,11 +25,6 @@ def checked(
     Returns:
         (B, 2).
     """
-    return network(check_input(card, image, joints_px))
-
-
-def check_input(card: WeightsCard, image: np.ndarray, joints_px: np.ndarray) -> np.ndarray:
-    """(B, 3, S, S) float32, what HandCheck is given of B candidates; arguments as of `checked`."""
     size = card.check_size
     crops = [warp_image(image, upright_crop(one, size=size, margin=card.check_margin), size) for one in joints_px]
-    return network_input(np.stack(crops))
+    return network(network_input(np.stack(crops)))

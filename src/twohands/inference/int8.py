@@ -25,7 +25,7 @@ WEIGHT_LEVELS = 255
 RECTIFIERS = ("Relu", "Clamp")
 """What is rounded from 0 on. ReLU6 comes as min(max(x, 0), 6) and is rounded as if it had either sign: the shipped
 HandSegNet and its decision were chosen so (docs/history/journal.md, *What 8 bits cost*)."""
-MOST_MOVED = 0.05
+MOST_MOVED = 0.02
 """An activation whose rounding moves an output by more, root mean square, as a share of the output's standard
 deviation, stays in floating point. Of some published encoders the first depthwise filters, which take differences of
 neighbours, lose by it alone what the networks behind them know (docs/history/journal.md, *What 8 bits cost*)."""

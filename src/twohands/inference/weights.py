@@ -135,11 +135,8 @@ class WeightsCard:
             raise CheckpointError(f"card: pose_net_2d.background must lie in 0..1, got {self.background}")
         if self.network_input != NETWORK_INPUT:
             raise CheckpointError(f"card: network_input must be {NETWORK_INPUT!r}, got {self.network_input!r}")
-        for key, named, known in (
-            ("networks", self.networks, NETWORK_NAMES),
-            ("int8", self.int8, (*NETWORK_NAMES, HAND_CHECK)),
-        ):
-            unknown = sorted(set(named) - set(known))
+        for key, named in (("networks", self.networks), ("int8", self.int8)):
+            unknown = sorted(set(named) - set(NETWORK_NAMES))
             if unknown:
                 raise CheckpointError(f"card: {key} names unknown networks, {', '.join(unknown)}")
         for key, folders in (("networks", self.networks.values()), ("second", [self.second] if self.second else [])):
