@@ -79,7 +79,8 @@ def test_what_loses_by_rounding_stays_in_floating_point(tmp_path):
         mixed = opset.convolution(rectified, weights, [1, 1], [0, 0], [0, 0], [1, 1])
         outputs.append(opset.split(mixed, 1, 2).output(0))
     path = tmp_path / "network.xml"
-    openvino.save_model(openvino.Model(outputs, [x]), path, compress_to_fp16=False)  # pyright: ignore
+    model = openvino.Model(outputs, [x])  # pyright: ignore[reportGeneralTypeIssues]
+    openvino.save_model(model, path, compress_to_fp16=False)
     rng = np.random.default_rng(0)
     common = rng.uniform(0, 102, (8, 1, 1, 4, 4))
     batches = [(one + [[[[0.0]], [[0.1]]]] * rng.uniform(-1, 1, (1, 2, 4, 4))).astype(np.float32) for one in common]

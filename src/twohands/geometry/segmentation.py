@@ -180,7 +180,7 @@ def class_leads(seg_logits: np.ndarray) -> NDArray[np.float32]:
     planes = np.ascontiguousarray(seg_logits, np.float32)
     leads = np.empty((2, *planes.shape[1:]), np.float32)
     for side in (0, 1):
-        cv2.subtract(planes[1 + side], cv2.max(planes[0], planes[2 - side]), dst=leads[side])
+        np.subtract(planes[1 + side], np.maximum(planes[0], planes[2 - side]), out=leads[side])
     return leads
 
 
@@ -351,6 +351,7 @@ def box_evidence(
     cell_px = np.array([image_size[1] / leads.shape[2], image_size[0] / leads.shape[1]])
     shown = (leads[0] > 0) | (leads[1] > 0)
     extent = _extent(shown.view(np.uint8))
+    corner = np.array([extent[1].start, extent[0].start])
     regions = _regions(shown[extent])
     for box in np.flatnonzero(np.isfinite(boxes_px).all(axis=1)):
         rows, columns = _cells(boxes_px[box], image_size, energies.shape[1:])
@@ -359,15 +360,13 @@ def box_evidence(
         inside = leads[:, rows, columns]
         lead[:, box], share[:, box] = inside.max(axis=(1, 2)), (inside > 0).mean(axis=(1, 2))
         outside = _rest_of_regions(regions, *(_within(part, whole) for part, whole in zip(cells, extent, strict=True)))
-        total = outside.sum()
+        total = int(outside.sum())
         if total:
-            counts = outside.sum(axis=0), outside.sum(axis=1)
-            means = [
-                counted @ np.arange(whole.start, whole.start + len(counted)) / total
-                for counted, whole in zip(counts, extent[::-1], strict=True)
-            ]
+            counts = (np.asarray(outside.sum(axis=axis), np.int64) for axis in (0, 1))
+            along = [int((count * np.arange(len(count))).sum()) for count in counts]
+            mean = (np.array(along) + corner * total) / total
             middle_px = (boxes_px[box, :2] + boxes_px[box, 2:]) / 2
-            away_px = (np.array(means) + 0.5) * cell_px - middle_px
+            away_px = (mean + 0.5) * cell_px - middle_px
             arm[box] = away_px / (boxes_px[box, 2:] - boxes_px[box, :2]).max()
     return BoxEvidence(energy, lead, share, arm)
 

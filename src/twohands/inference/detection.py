@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -41,6 +41,9 @@ from twohands.inference.views import HandViewer
 from twohands.inference.weights import WeightsCard
 from twohands.skeleton import LEFT, RIGHT
 from twohands.types import HandCrop, PinholeCamera
+
+NO_MAPS: Final = np.zeros((2, 1, 1))
+"""Energies or leads of which nobody knows anything."""
 
 
 class Detection(NamedTuple):
@@ -273,7 +276,7 @@ class HandFinder:
         together = (None, None) if merged is None else (merged.hand_logits, merged.joint_scores.mean(axis=-1))
         doubtful = doubtful or merged is not None
         checks = self._checked(seen, merged) if doubtful else np.full((3, 2), np.nan)
-        maps = boxes.evidence or box_evidence(*np.zeros((2, 2, 1, 1)), np.full((2, 4), np.nan), (1, 1))
+        maps = boxes.evidence or box_evidence(NO_MAPS, NO_MAPS, np.full((2, 4), np.nan), (1, 1))
         said = {"check": checks[:2], "merged_check": checks[2]}
         known = Evidence(self.size, boxes.boxes_px, maps, pose, joints, *together, distance, before, **said)
         return known, CandidateViews(alone, merged)
