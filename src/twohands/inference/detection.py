@@ -154,7 +154,7 @@ class HandFinder:
         if not len(rows):
             return found
         sides = first.sides[rows]
-        second = self._second(found.masks, boxes_px, first.rows(rows), None if joints_px is None else joints_px[sides])
+        second = self._second(found.masks, boxes_px, sides, None if joints_px is None else joints_px[sides])
         better = knows_better(first.rows(rows), second, config) | (False if lost is None else lost[rows])
         better = np.flatnonzero(better)
         if not len(better):
@@ -170,34 +170,18 @@ class HandFinder:
     ) -> tuple[Keypoints, Keypoints]:
         """Keypoints by the first and by the second pose networks; arguments as of `looked`."""
         first = self.looked(masks, boxes_px, crops)
-        return first, self._second(masks, boxes_px, first, None)
+        return first, self._second(masks, boxes_px, first.sides, None)
 
     def _second(
-        self, masks: np.ndarray, boxes_px: np.ndarray, first: Keypoints, joints_px: np.ndarray | None
+        self, masks: np.ndarray, boxes_px: np.ndarray, sides: np.ndarray, joints_px: np.ndarray | None
     ) -> Keypoints:
-        """Keypoints of B hands by the second pose networks, of what the first ones see of them, and (B, 21, 2) joints,
-        otherwise as `seen_better`. Where nothing is expected, those say how a hand is turned."""
-        sides = first.sides
-        if joints_px is not None:
-            crops = self.joint_crops(masks, boxes_px, joints_px, sides, np.ones(len(sides), int))
-        else:
-            rolls_deg = upright_roll_deg(first.joints_px)
-            turned = self._turned(first.joints_px, rolls_deg, self.stages.of_pair(1).card.views.upright_within_deg)
+        """Keypoints of the hands of B sides by the second pose networks; (B, 21, 2) joints, otherwise as
+        `seen_better`."""
+        if joints_px is None:
             crops = self.crops(masks, boxes_px, sides, pair=1)
-            for row in np.flatnonzero(turned):
-                crops[row] = self._rolled_crop(masks, boxes_px, int(sides[row]), 1, float(rolls_deg[row]))
+        else:
+            crops = self.joint_crops(masks, boxes_px, joints_px, sides, np.ones(len(sides), int))
         return self._uprighted(masks, boxes_px, self.stages.keypoints(crops))
-
-    def _turned(self, joints_px: np.ndarray, off_deg: np.ndarray, within_deg: float | np.ndarray) -> np.ndarray:
-        """(B,) bool: the hands that can be seen of which the fingers point farther from up."""
-        seen = in_sight(joints_px, self.size, self.card.views.smallest_box_px)
-        return seen & (np.abs(off_deg) > within_deg)
-
-    def _rolled_crop(self, masks: np.ndarray, boxes_px: np.ndarray, side: int, pair: int, roll_deg: float) -> HandCrop:
-        """Crop of a side's box for a pair of pose networks, as a camera sees it that is rolled."""
-        stages, around_px = self.stages.of_pair(pair), ellipse_in(self._continued(boxes_px[side]))
-        box_px = rolled_hand_box(stages.card, around_px, self.size, self.camera, roll_deg)
-        return stages.crop(self.image, masks, box_px, side, self.camera, roll_deg)
 
     def joint_crops(
         self, masks: np.ndarray, boxes_px: np.ndarray, joints_px: np.ndarray, sides: np.ndarray, pairs: np.ndarray
@@ -230,14 +214,17 @@ class HandFinder:
         if not any(each.upright for each in views):
             return keypoints
         within_deg = np.array([each.upright_within_deg for each in views])
-        again = np.flatnonzero(self._turned(keypoints.joints_px, off_upright_deg(keypoints), within_deg))
+        seen = in_sight(keypoints.joints_px, self.size, self.card.views.smallest_box_px)
+        again = np.flatnonzero(seen & (np.abs(off_upright_deg(keypoints)) > within_deg))
         if not len(again):
             return keypoints
         crops = []
         for row in again:
+            side, stages = keypoints.crops[row].side, self.stages.of_pair(keypoints.crops[row].pair)
             roll_deg = float(upright_roll_deg(keypoints.joints_px[row]))
-            crop = keypoints.crops[row]
-            crops.append(self._rolled_crop(masks, boxes_px, crop.side, crop.pair, roll_deg))
+            around_px = ellipse_in(self._continued(boxes_px[side]))
+            box_px = rolled_hand_box(stages.card, around_px, self.size, self.camera, roll_deg)
+            crops.append(stages.crop(self.image, masks, box_px, side, self.camera, roll_deg))
         return keypoints.replaced(again, self.stages.keypoints(crops))
 
     def decided(self, found: Detection, trail: Trail | None) -> Detection:
