@@ -143,6 +143,6 @@ def test_the_card_decides(tmp_path):
     (folder / "card.json").write_text(json.dumps(card))
     read = read_card(folder)
     assert read.int8 == card["int8"]
-    read = dataclasses.replace(read, second="")  # which have a card of their own
+    read = dataclasses.replace(read, second="")  # the second networks have a card of their own
     assert "int8" in load_networks(folder, read).runtime
     assert "int8" not in load_networks(folder, dataclasses.replace(read, int8={})).runtime
