@@ -148,7 +148,8 @@ def open_segmentation(checkpoint: Path) -> Segment:
     estimator = HandEstimator(load_networks(checkpoint.parent, card, threads=1), card)
 
     def segment(images: Sequence[np.ndarray]) -> list[Segmentation]:
-        return [segmentation_of(*estimator.stages.hand_maps(image)[:3], image.shape[:2]) for image in images]
+        seen = [(estimator.stages.hand_maps(image), image.shape[:2]) for image in images]
+        return [segmentation_of(maps.seg_logits, maps.energies, maps.scores, size) for maps, size in seen]
 
     return segment
 

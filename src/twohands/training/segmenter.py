@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from twohands.geometry.network_input import canvas_size, letterbox, network_input
-from twohands.geometry.segmentation import boxes_from_energy, hand_scores, masks_from_logits
+from twohands.geometry.segmentation import boxes_from_energy, class_leads, hand_scores, masks_from_logits
 from twohands.models.blocks import fold_batch_norm
 from twohands.models.checkpoint import load_network
 from twohands.models.hand_seg_net import HandSegNetConfig
@@ -58,7 +58,8 @@ class Segmenter:
             logits, energies = self._maps(np.stack(canvases))
             for k, i in enumerate(rows):
                 seg_logits, energy = places[k].content(logits[k]), places[k].content(energies[k])
-                found[i] = segmentation_of(seg_logits, energy, hand_scores(energy, seg_logits), images[i].shape[:2])
+                scores = hand_scores(energy, class_leads(seg_logits))
+                found[i] = segmentation_of(seg_logits, energy, scores, images[i].shape[:2])
         return [found[i] for i in range(len(images))]
 
     def _maps(self, canvases: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
