@@ -45,8 +45,7 @@ def activation_peaks(path: Path, batches: Iterable[np.ndarray]) -> dict[str, flo
     model = read_network(core, path)
     nodes, own_outputs = _activations(model), len(model.outputs)
     model.add_outputs([node.output(0) for node in nodes])
-    model.reshape([-1, model.inputs[0].partial_shape[1], -1, -1])
-    network = core.compile_model(model, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
+    network = _opened(core, model)
     outputs = network.outputs[own_outputs:]
     peaks = np.zeros(len(nodes))
     for batch in batches:
@@ -68,8 +67,7 @@ def worth_rounding(path: Path, peaks: Mapping[str, float], batches: Sequence[np.
     def outputs(peaks: Mapping[str, float]) -> list[np.ndarray]:
         model = read_network(core, path)
         quantise(model, peaks)
-        model.reshape([-1, model.inputs[0].partial_shape[1], -1, -1])
-        network = core.compile_model(model, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
+        network = _opened(core, model)
         found = [network([np.ascontiguousarray(batch, np.float32)]) for batch in batches]
         return [np.concatenate([np.ravel(one[port]) for one in found]) for port in network.outputs]
 
@@ -127,6 +125,12 @@ def kernel_peaks(kernel: np.ndarray) -> np.ndarray:
     """
     peaks = np.abs(kernel).max(axis=(-3, -2, -1), keepdims=True)
     return np.maximum(peaks, WEIGHT_LEVELS * np.finfo(np.float32).tiny)  # a step of it is a normal number too
+
+
+def _opened(core: Any, model: Any) -> Any:
+    """A network for pictures of any number and size, in floating point but for what `quantise` has rounded."""
+    model.reshape([-1, model.inputs[0].partial_shape[1], -1, -1])
+    return core.compile_model(model, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
 
 
 def _activations(model: Any) -> list[Any]:
