@@ -79,3 +79,21 @@ sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 """
     run = output_of(script, tiny)
     assert run.returncode == 0, run.stderr
+
+
+def test_threads_that_open_openvino_at_once(tiny):
+    """Named case: the networks of a preset are opened side by side, and each hid the package of statistics and put it
+    back while the others still imported."""
+    script = """
+from concurrent.futures import ThreadPoolExecutor
+from twohands.inference.runtime import import_openvino
+sys.modules["openvino_telemetry"] = mine = type(sys)("openvino_telemetry")
+together = threading.Barrier(8)
+def imported(_):
+    together.wait()
+    return import_openvino()
+with ThreadPoolExecutor(8) as pool:
+    print(len(set(pool.map(imported, range(8)))), sys.modules["openvino_telemetry"] is mine)
+"""
+    run = output_of(script, tiny)
+    assert (run.returncode, run.stdout) == (0, "1 True\n"), run.stderr

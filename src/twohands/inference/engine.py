@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -164,8 +165,11 @@ def load_networks(folder: Path, card: WeightsCard, threads: int = 0) -> Networks
         CheckpointError: a file is missing, damaged, or holds another network.
     """
 
-    def compiled(folder: Path, card: WeightsCard, name: str, inputs: int, *outputs: int) -> OpenVinoNetwork:
-        return OpenVinoNetwork(
+    def opening(
+        folder: Path, card: WeightsCard, name: str, inputs: int, *outputs: int
+    ) -> Callable[[], OpenVinoNetwork]:
+        return partial(
+            OpenVinoNetwork,
             network_files(folder, card)[name],
             input_channels=inputs,
             output_channels=outputs,
@@ -174,29 +178,32 @@ def load_networks(folder: Path, card: WeightsCard, threads: int = 0) -> Networks
             int8_peaks=card.int8.get(name, NO_PEAKS),
         )
 
-    def pose_networks(folder: Path, card: WeightsCard) -> tuple[OpenVinoNetwork, OpenVinoNetwork]:
+    def opening_pose(folder: Path, card: WeightsCard) -> list[Callable[[], OpenVinoNetwork]]:
         maps = N_JOINTS + card.cues
         outputs = (maps, 1) if card.hand_logit else (maps,)
-        return compiled(folder, card, "pose_net_2d", 3, *outputs), compiled(folder, card, "pose_net_3d", maps, N_JOINTS)
+        return [opening(folder, card, "pose_net_2d", 3, *outputs), opening(folder, card, "pose_net_3d", maps, N_JOINTS)]
 
     maps = (3, 2, TURN_MAPS) if card.says_turn else (3, 2)
-    seg, first = compiled(folder, card, "hand_seg_net", 3, *maps), pose_networks(folder, card)
-    used, second = [seg, *first], None
+    to_open = [opening(folder, card, "hand_seg_net", 3, *maps), *opening_pose(folder, card)]
+    others_card = None
     if card.second:
         other = second_folder(folder, card)
         others_card = read_card(other)
-        others = pose_networks(other, others_card)
-        used += others
-        check = None
+        to_open += opening_pose(other, others_card)
         if others_card.check_size:
-            network = compiled(other, others_card, HAND_CHECK, 3, 2)
-            used.append(network)
-            check = partial(_only_output, network)
-        second = SecondNetworks(others_card, *_pose_functions(*others), check)
-    arithmetic = " and ".join(sorted({kind for network in used for kind in network.arithmetic}))
+            to_open.append(opening(other, others_card, HAND_CHECK, 3, 2))
+    with ThreadPoolExecutor() as pool:  # one network is compiled by one thread
+        networks = list(pool.map(lambda open_network: open_network(), to_open))
+
+    seg, pose_2d, pose_3d, *others = networks
+    second = None
+    if others_card is not None:
+        check = partial(_only_output, others[2]) if others_card.check_size else None
+        second = SecondNetworks(others_card, *_pose_functions(others[0], others[1]), check)
+    arithmetic = " and ".join(sorted({kind for network in networks for kind in network.arithmetic}))
     runtime = f"OpenVINO on {seg.threads} thread{'s'[: seg.threads > 1]} in {arithmetic}"
 
-    return Networks(seg, *_pose_functions(*first), runtime, second)
+    return Networks(seg, *_pose_functions(pose_2d, pose_3d), runtime, second)
 
 
 def _pose_functions(

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import sys
+import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+_IMPORTING = threading.Lock()
 
 CONVOLUTIONS = ("Convolution", "GroupConvolution")
 
@@ -30,13 +33,14 @@ def import_openvino() -> Any:
     unless the package `openvino_telemetry` is missing. So that one is missing for as long as the import takes.
     """
     name = "openvino_telemetry"
-    before = {name: sys.modules[name]} if name in sys.modules else {}
-    sys.modules[name] = None  # type: ignore[assignment]
-    try:
-        import openvino
-    finally:
-        del sys.modules[name]
-        sys.modules.update(before)
+    with _IMPORTING:  # else one thread puts the name back while another still imports
+        before = {name: sys.modules[name]} if name in sys.modules else {}
+        sys.modules[name] = None  # type: ignore[assignment]
+        try:
+            import openvino
+        finally:
+            del sys.modules[name]
+            sys.modules.update(before)
     return openvino
 
 
