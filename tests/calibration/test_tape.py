@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from twohands.calibration.tape import FOCAL_SPREAD, fit_tape, focal_spread, ranges, zoomed
+from twohands.calibration.tape import FOCAL_SPREAD, fit_tape, focal_spread, length_spread, ranges, zoomed
 from twohands.errors import InputError
 from twohands.geometry.camera import project
 from twohands.geometry.canonical import camera_from_canonical
@@ -48,6 +48,18 @@ def test_one_hand_or_one_place_says_nothing_of_the_focal_length():
         fit = fit_tape(hands, wrong, [0.5] * count, 0.8 * LENGTH_M, focal_spread=FOCAL_SPREAD)
         assert fit.focal_scale == 1
         assert ranges(hands, wrong, fit.hand_length_m) == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("spread", [0.1, 0.2, 0.4])
+@pytest.mark.parametrize("off", [0.8, 1.0, 1.2])
+def test_what_one_hand_does_not_tell_is_shared_out_by_the_spreads(spread, off):
+    """In the middle of the picture only the product counts: of two normal numbers whose sum is known, each takes its
+    share of the variance."""
+    hand = hand_at(0.5, 0.0, 0.0)
+    fit = fit_tape([hand], TRUE, [0.5], LENGTH_M / off, focal_spread=0.2, length_spread=spread)
+    share = 0.2**2 / (0.2**2 + spread**2)
+    assert math.log(fit.focal_scale) == pytest.approx(share * math.log(off), abs=0.02)
+    assert ranges([hand], zoomed(TRUE, fit.focal_scale), fit.hand_length_m) == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize(("focal", "length"), [(0.8, 1.2), (1.2, 0.8), (0.8, 1.0), (1.2, 1.2)])
@@ -97,3 +109,8 @@ def test_what_cannot_be_is_refused():
 def test_measured_cameras_are_taken_for_true():
     assert [focal_spread(source) for source in ("file", "board")] == [0, 0]
     assert [focal_spread(source) for source in ("fov", "exif", "assumed")] == [FOCAL_SPREAD] * 3
+
+
+def test_lengths_that_were_measured_are_measured_again():
+    assert [length_spread(source) for source in ("board", "distance")] == [math.inf] * 2
+    assert 0 < length_spread("typed") < length_spread("assumed") < 1

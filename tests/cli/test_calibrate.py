@@ -134,14 +134,26 @@ def test_a_hand_beside_the_board(tmp_path, monkeypatch, capsys):
 
 
 def test_a_taped_distance_keeps_length_and_camera_together(tmp_path, monkeypatch, capsys):
-    asked = hands(monkeypatch, at_range(0.40), at_range(0.41), None, at_range(0.39))
+    """Ranges of 40 cm where the tape says 50: the length alone is wrong where the camera was measured, else both are."""
+    seen = at_range(0.40), at_range(0.41), None, at_range(0.39)
+    asked = hands(monkeypatch, *seen)
     folder = pictures(tmp_path / "in", 4)
     assert run("hand", "--at", "50cm", folder, "--profile", "me") == 0
     said = capsys.readouterr()
-    assert "hand length 12.5 cm, 12.2 to 12.8 over 3 pictures" in said.out
+    assert "hand length 11.3 cm, 11.0 to 11.6 over 3 pictures" in said.out
     assert "assuming a field of view of 60 degrees" in said.err and "right to about 9 %" in said.out
     kept = read_profile("me")
-    assert kept == Profile(asked[0], "assumed", pytest.approx(0.125, rel=2e-3), "distance")
+    assert (kept.intrinsics_source, kept.scale_source) == ("assumed", "distance")
+    assert kept.camera is not None and kept.hand_length_m is not None
+    assert kept.hand_length_m * kept.camera.fx / asked[0].fx == pytest.approx(0.125, rel=2e-3)
+
+    camera = tmp_path / "camera.json"
+    camera.write_text(json.dumps(calibrate.camera_record(asked[0])))
+    asked = hands(monkeypatch, *seen)
+    assert run("hand", "--at", "50cm", folder, "--camera", camera, "--profile", "measured") == 0
+    said = capsys.readouterr()
+    assert "hand length 12.5 cm, 12.2 to 12.8 over 3 pictures" in said.out and "assuming" not in said.err
+    assert read_profile("measured") == Profile(asked[0], "file", pytest.approx(0.125, rel=2e-3), "distance")
 
 
 def test_pictures_of_two_sizes_at_a_distance_are_refused(tmp_path, monkeypatch, capsys):

@@ -91,21 +91,27 @@ def test_hands_say_what_their_ranges_rest_on():
         assert hand["range_sigma_m"] == pytest.approx(expected, abs=1e-4)
 
 
-def test_a_hand_at_a_taped_distance_gives_the_length_of_the_clip_that_follows():
-    """Estimates of a hand at 40 cm with 10 cm; the tape says 50. In one place the field of view stays as it is."""
+@pytest.mark.parametrize("known", ["distance", "assumed"])
+def test_a_hand_at_a_taped_distance_gives_the_length_of_the_clip_that_follows(known):
+    """Estimates of a hand at 40 cm with 10 cm; the tape says 50. In one place the field of view stays as it is, but
+    where what is usual of hand lengths speaks for another one."""
     clip = make_clip(seen_hand(0.4))
-    clip.begin(Settings("webcam", 0.1, None, scale_source="assumed"))
+    clip.begin(Settings("webcam", 0.1, None, scale_source=known))
     assert clip.frame(IMAGE, 0, 0.0).note is None
     clip.measure(0.5)
     told = [clip.frame(IMAGE, index, index / 10) for index in range(1, FRAMES + 2)]
     notes = [json.loads(each.note)["measured"] for each in told[:FRAMES]]
     assert [note["frames"] for note in notes] == list(range(1, FRAMES + 1)) and told[FRAMES].note is None
     assert not any(note["over"] for note in notes[:-1]) and notes[-1]["over"] and notes[-1]["problem"] is None
-    assert notes[-1]["hand_length_m"] == pytest.approx(0.125, rel=1e-3)
-    assert notes[-1]["fov_deg"] is None and notes[-1]["sigma"] > 0
     old, new = json.loads(told[0].header), json.loads(told[FRAMES].header)
     assert old["hand_length_m"] == 0.1 and new["hand_length_m"] == notes[-1]["hand_length_m"]
-    assert new["camera"] == old["camera"]
+    zoom = new["camera"]["fx"] / old["camera"]["fx"]
+    assert notes[-1]["hand_length_m"] * zoom == pytest.approx(0.125, rel=1e-3) and notes[-1]["sigma"] > 0
+    if known == "distance":
+        assert notes[-1]["hand_length_m"] == pytest.approx(0.125, rel=1e-3)
+        assert notes[-1]["fov_deg"] is None and new["camera"] == old["camera"]
+    else:
+        assert notes[-1]["fov_deg"] < 60 and 1 < zoom < 1.25
     assert json.loads(told[FRAMES].line)["hands"]["left"]["scale_source"] == "distance"
 
 

@@ -2,7 +2,8 @@
 
 A range in the middle of the picture goes with focal length times hand length, so that one known range fixes their
 product, even where both are wrong. Towards the picture's edges it goes with the focal length less: hands in several
-places, at distances that are known, tell both numbers apart. Measured in docs/calibration.md.
+places, at distances that are known, tell both numbers apart. What they do not tell is shared out by how far either may
+be off. Measured in docs/calibration.md.
 """
 
 from __future__ import annotations
@@ -15,8 +16,9 @@ from typing import Final
 import numpy as np
 
 from twohands.errors import InputError
-from twohands.formats.profiles import IntrinsicsSource
+from twohands.formats.profiles import IntrinsicsSource, ScaleSource
 from twohands.geometry.projection import project_global, range_weights
+from twohands.inference.range_sigma import ASSUMED_LENGTH_SPREAD, TYPED_LENGTH_SPREAD
 from twohands.types import HandPose, PinholeCamera
 
 FOCAL_SPREAD: Final = 0.2
@@ -50,11 +52,12 @@ def fit_tape(
     hand_length_m: float,
     *,
     focal_spread: float = 0.0,
+    length_spread: float = math.inf,
 ) -> TapeFit:
     """Hand length, and focal length where that may be wrong, with which ranges are the taped ones.
 
-    The hand length takes what is wrong with all of them alike. The focal length changes only as far as hands in several
-    places ask for it.
+    What is wrong with all of them alike is shared out between the two by their spreads. Beyond that the focal length
+    changes only as far as hands in several places ask for it.
 
     Args:
         hands: estimates, of one hand each; those that were not placed do not count.
@@ -83,7 +86,7 @@ def fit_tape(
         raise InputError("the hand's range is not known; show its palm or back to the camera")
     lengths = -np.median(off[:, usable], axis=1)
     left = np.minimum(np.abs(off[:, usable] + lengths[:, None]), OUTLIER) / RANGE_NOISE
-    cost = (left**2).sum(axis=1) + (steps / (focal_spread or 1.0)) ** 2
+    cost = (left**2).sum(axis=1) + (steps / (focal_spread or 1.0)) ** 2 + (lengths / length_spread) ** 2
     best = int(np.argmin(cost))
     own = [hand.range_sigma_m / hand.range_m for hand, _ in placed if hand.range_sigma_m and hand.range_m]
     spread = float(np.median(np.abs(off[best, usable] + lengths[best]))) / math.sqrt(usable.sum())
@@ -94,6 +97,11 @@ def fit_tape(
 def focal_spread(source: IntrinsicsSource) -> float:
     """How far a camera's focal length may be off that is known so."""
     return 0.0 if source in ("file", "board") else FOCAL_SPREAD
+
+
+def length_spread(source: ScaleSource) -> float:
+    """How far a hand length may be off that is known so, before a hand at a taped distance measures it (again)."""
+    return {"typed": TYPED_LENGTH_SPREAD, "assumed": ASSUMED_LENGTH_SPREAD}.get(source, math.inf)
 
 
 def ranges(hands: Sequence[HandPose], camera: PinholeCamera, hand_length_m: float) -> np.ndarray:

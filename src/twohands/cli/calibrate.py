@@ -30,7 +30,7 @@ from twohands.calibration.board import BoardView, board_pdf, find_board
 from twohands.calibration.camera import MOST_VIEWS, CameraFit, fit_camera, is_new, usable
 from twohands.calibration.coverage import coverage_picture
 from twohands.calibration.hand import length_on_board
-from twohands.calibration.tape import fit_tape, focal_spread, ranges, zoomed
+from twohands.calibration.tape import fit_tape, focal_spread, length_spread, ranges, zoomed
 from twohands.cli.known import camera_assumption, known_by
 from twohands.cli.output import write_file
 from twohands.errors import InputError, TwoHandsError
@@ -155,7 +155,8 @@ def _hand(args: CalibrateArgs, source: str) -> int:
     else:
         hands, (camera, camera_source) = _hands(source, estimator, known)
         said = [distance_m] * len(hands)
-        fit = fit_tape(hands, camera, said, DEFAULT_HAND_LENGTH_M, focal_spread=focal_spread(camera_source))
+        spreads = {"focal_spread": focal_spread(camera_source), "length_spread": length_spread("assumed")}
+        fit = fit_tape(hands, camera, said, DEFAULT_HAND_LENGTH_M, **spreads)
         camera, length, scale_source = zoomed(camera, fit.focal_scale), fit.hand_length_m, "distance"
         lengths = [length * distance_m / value for value in ranges(hands, camera, length)]
     if line := camera_assumption(camera_source):

@@ -6,7 +6,7 @@ import json
 from dataclasses import dataclass, replace
 from typing import Final
 
-from twohands.calibration.tape import TapeFit, fit_tape, focal_spread, zoomed
+from twohands.calibration.tape import TapeFit, fit_tape, focal_spread, length_spread, zoomed
 from twohands.errors import InputError
 from twohands.formats.profiles import IntrinsicsSource
 from twohands.live.messages import Settings
@@ -76,6 +76,7 @@ class Measuring:
                 [self._distance_m] * len(self._hands),
                 settings.hand_length_m,
                 focal_spread=focal_spread(source),
+                length_spread=length_spread(settings.scale_source),
             )
         except InputError as error:
             return Measured(self._note(str(error), True), over=True)
