@@ -134,7 +134,7 @@ def test_a_hand_beside_the_board(tmp_path, monkeypatch, capsys):
 
 
 def test_a_taped_distance_keeps_length_and_camera_together(tmp_path, monkeypatch, capsys):
-    """Ranges of 40 cm where the tape says 50: the length alone is wrong where the camera was measured, else both are."""
+    """Ranges of 40 cm where the tape says 50: of a measured camera the length alone is wrong, else both are."""
     seen = at_range(0.40), at_range(0.41), None, at_range(0.39)
     asked = hands(monkeypatch, *seen)
     folder = pictures(tmp_path / "in", 4)

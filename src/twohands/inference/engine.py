@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
@@ -97,9 +97,9 @@ class OpenVinoNetwork:
         any_size: bool = False,
         int8_peaks: Mapping[str, float] = NO_PEAKS,
     ) -> None:
-        core = open_core()
+        self._core = open_core()
         try:
-            model = read_network(core, path)
+            model = read_network(self._core, path)
         except (RuntimeError, ValueError) as error:  # ValueError: of its own message, where a damaged name is no text
             raise CheckpointError(f"{path}: not a readable ONNX network") from error
         found_in = [_channels(port) for port in model.inputs]
@@ -112,13 +112,22 @@ class OpenVinoNetwork:
         quantise(model, int8_peaks)
         if any_size:
             model.reshape([-1, input_channels, -1, -1])
+        self._model, self._threads = model, threads
+        self._idle: deque[Any] = deque()  # requests that no thread is using
+
+    @cached_property
+    def _network(self) -> Any:
+        """Compiled when first asked for."""
         config = {
             "PERFORMANCE_HINT": "LATENCY",
-            "INFERENCE_NUM_THREADS": threads,
+            "INFERENCE_NUM_THREADS": self._threads,
             "INFERENCE_PRECISION_HINT": "f32",  # bfloat16 where there is AMX sees other hands than elsewhere
         }
-        self._network = core.compile_model(model, "CPU", config)
-        self._idle: deque[Any] = deque()  # requests that no thread is using
+        return self._core.compile_model(self._model, "CPU", config)
+
+    def compile(self) -> None:
+        """Do now what the first call would do first."""
+        _ = self._network
 
     def __call__(self, batch: np.ndarray) -> tuple[np.ndarray, ...]:
         """Run the network.
@@ -165,11 +174,8 @@ def load_networks(folder: Path, card: WeightsCard, threads: int = 0) -> Networks
         CheckpointError: a file is missing, damaged, or holds another network.
     """
 
-    def opening(
-        folder: Path, card: WeightsCard, name: str, inputs: int, *outputs: int
-    ) -> Callable[[], OpenVinoNetwork]:
-        return partial(
-            OpenVinoNetwork,
+    def opened(folder: Path, card: WeightsCard, name: str, inputs: int, *outputs: int) -> OpenVinoNetwork:
+        return OpenVinoNetwork(
             network_files(folder, card)[name],
             input_channels=inputs,
             output_channels=outputs,
@@ -178,32 +184,32 @@ def load_networks(folder: Path, card: WeightsCard, threads: int = 0) -> Networks
             int8_peaks=card.int8.get(name, NO_PEAKS),
         )
 
-    def opening_pose(folder: Path, card: WeightsCard) -> list[Callable[[], OpenVinoNetwork]]:
+    def pose_networks(folder: Path, card: WeightsCard) -> tuple[OpenVinoNetwork, OpenVinoNetwork]:
         maps = N_JOINTS + card.cues
         outputs = (maps, 1) if card.hand_logit else (maps,)
-        return [opening(folder, card, "pose_net_2d", 3, *outputs), opening(folder, card, "pose_net_3d", maps, N_JOINTS)]
+        return opened(folder, card, "pose_net_2d", 3, *outputs), opened(folder, card, "pose_net_3d", maps, N_JOINTS)
 
     maps = (3, 2, TURN_MAPS) if card.says_turn else (3, 2)
-    to_open = [opening(folder, card, "hand_seg_net", 3, *maps), *opening_pose(folder, card)]
-    others_card = None
+    seg, first = opened(folder, card, "hand_seg_net", 3, *maps), pose_networks(folder, card)
+    used, second = [seg, *first], None
     if card.second:
         other = second_folder(folder, card)
         others_card = read_card(other)
-        to_open += opening_pose(other, others_card)
+        others = pose_networks(other, others_card)
+        used += others
+        check = None
         if others_card.check_size:
-            to_open.append(opening(other, others_card, HAND_CHECK, 3, 2))
-    with ThreadPoolExecutor() as pool:  # one network is compiled by one thread
-        networks = list(pool.map(lambda open_network: open_network(), to_open))
-
-    seg, pose_2d, pose_3d, *others = networks
-    second = None
-    if others_card is not None:
-        check = partial(_only_output, others[2]) if others_card.check_size else None
-        second = SecondNetworks(others_card, *_pose_functions(others[0], others[1]), check)
-    arithmetic = " and ".join(sorted({kind for network in networks for kind in network.arithmetic}))
+            network = opened(other, others_card, HAND_CHECK, 3, 2)
+            used.append(network)
+            check = partial(_only_output, network)
+        second = SecondNetworks(others_card, *_pose_functions(*others), check)
+    # Nothing but this side by side: where Python looks into networks, it and OpenVINO may wait for each other's locks.
+    with ThreadPoolExecutor() as pool:
+        list(pool.map(OpenVinoNetwork.compile, used))
+    arithmetic = " and ".join(sorted({kind for network in used for kind in network.arithmetic}))
     runtime = f"OpenVINO on {seg.threads} thread{'s'[: seg.threads > 1]} in {arithmetic}"
 
-    return Networks(seg, *_pose_functions(pose_2d, pose_3d), runtime, second)
+    return Networks(seg, *_pose_functions(*first), runtime, second)
 
 
 def _pose_functions(
