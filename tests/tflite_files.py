@@ -10,8 +10,8 @@ def tflite_file(layers):
 
     Args:
         layers: (kernel (outputs, inputs / groups, rows, columns), bias) of each, numpy; one input per group makes it
-            depthwise. (slopes,) is a leaky ReLU. float16 ones are widened by a node of their own before they are used,
-            as published files do.
+            depthwise. (slopes,) is a leaky ReLU, (weights (outputs, inputs), bias, name) a fully connected layer.
+            float16 ones are widened by a node of their own before they are used, as published files do.
     """
     builder = flatbuffers.Builder(1 << 20)
     kinds = [
@@ -19,11 +19,12 @@ def tflite_file(layers):
         tflite.BuiltinOperator.CONV_2D,
         tflite.BuiltinOperator.DEPTHWISE_CONV_2D,
         tflite.BuiltinOperator.PRELU,
+        tflite.BuiltinOperator.FULLY_CONNECTED,
     ]
     buffers, tensors, nodes = [empty_buffer(builder)], [], []
 
-    def tensor(values=None, *, shape=(1,)):
-        number = 0
+    def tensor(values=None, *, shape=(1,), name=""):
+        number, called = 0, builder.CreateString(name)
         if values is not None:
             number, shape = len(buffers), values.shape
             data = builder.CreateByteVector(np.ascontiguousarray(values).tobytes())
@@ -36,9 +37,10 @@ def tflite_file(layers):
         tflite.TensorAddShape(builder, dimensions)
         tflite.TensorAddType(builder, tflite.TensorType.FLOAT16 if half else tflite.TensorType.FLOAT32)
         tflite.TensorAddBuffer(builder, number)
+        tflite.TensorAddName(builder, called)
         tensors.append(tflite.TensorEnd(builder))
         if half:
-            widened = tensor(shape=shape)
+            widened = tensor(shape=shape, name=f"{name}_dequantize")
             node(tflite.BuiltinOperator.DEQUANTIZE, [widened - 1], widened)
             return widened
         return len(tensors) - 1
@@ -57,6 +59,10 @@ def tflite_file(layers):
         if len(layer) == 1:
             result = tensor(layer[0][None, None])
             node(tflite.BuiltinOperator.PRELU, [value, result], value := tensor())
+            continue
+        if len(layer) == 3:
+            weights, bias, name = layer
+            node(kinds[-1], [value, tensor(weights, name=f"model/{name}/MatMul"), tensor(bias)], tensor())
             continue
         kernel, bias = layer
         depthwise = kernel.shape[1] == 1

@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+from tests.oracles import make_card
 
 from twohands.geometry.heatmaps import WINDOW_RADIUS, decode_softargmax, encode_heatmaps
-from twohands.inference.keypoints import read_joints
+from twohands.inference.keypoints import read_joints, read_out
+from twohands.types import HandCrop
 
 
 def maps_of(joints, sigma=2.0):
@@ -79,3 +81,13 @@ def test_empty_maps_have_score_zero():
     for decoder in ("subpixel", "softargmax"):
         joints, scores = read_joints(np.zeros((1, 21, 32, 32)), decoder)
         assert np.isfinite(joints).all() and (scores == 0).all()
+
+
+def test_maps_of_the_middle_of_a_crop_are_read_in_pixels_of_the_picture():
+    """Maps of 32 cells show the middle 128 of 192 pixels; the crop is twice as fine as the picture, from (10, 20) on."""
+    joints = np.random.default_rng(3).uniform(5, 27, (21, 2))
+    crop = HandCrop(np.zeros((192, 192, 3), np.uint8), np.array([[0.5, 0, 10], [0, 0.5, 20], [0, 0, 1]]), 0, False)
+    card = make_card(crop_size=192, surround=32)
+    found_px, scores = read_out(card, maps_of(joints), [crop])
+    np.testing.assert_allclose(found_px[0], (4 * joints + 32) / 2 + [10, 20], atol=1e-5)
+    assert (scores > 0.75).all()

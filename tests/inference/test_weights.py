@@ -83,6 +83,7 @@ def test_a_folder_is_taken_before_a_shipped_preset_of_its_name(tiny, tmp_path, m
         (lambda card: card["pose_net_2d"].update(crop_kind="round"), "crop_kind must be one of"),
         (lambda card: card["pose_net_2d"].update(crop_margin=0), "crop_margin must be positive"),
         (lambda card: card["pose_net_2d"].update(crop_size=0), "crop_size must be 1 to"),
+        (lambda card: card["pose_net_2d"].update(surround=16), "surround must leave some of the crop's 32 pixels"),
         (lambda card: card["pose_net_2d"].update(heatmap_decode="guess"), "heatmap_decode must be one of"),
         (lambda card: card["hand_seg_net"].update(input_size=[48]), "card: "),
         (lambda card: card["hand_seg_net"].update(input_size=[0, 80]), "height, width"),

@@ -11,18 +11,23 @@ from torch.nn import functional
 
 from twohands.errors import CheckpointError, InputError
 from twohands.models.blocks import freeze_batch_norm
+from twohands.models.checkpoint import save_network
 from twohands.models.efficientnet import (
     HANDS,
+    LANDMARK_CROP,
+    MOVED_HANDS,
     DepthwiseConv2d,
     EfficientNet,
+    EndPaddedConv2d,
     encoder_of,
+    load_landmarks,
     load_published,
     published_weights,
 )
 from twohands.models.hand_seg_net import HandSegNet, HandSegNetConfig
 from twohands.models.pose_net_2d import PoseNet2D, PoseNet2DConfig
 from twohands.models.presets import SLIM
-from twohands.models.tflite import read_convolutions
+from twohands.models.tflite import read_convolutions, read_layer
 from twohands.training.config import recipe, with_override
 from twohands.training.stages import build_stage
 from twohands.training.state import build_optimizer
@@ -72,6 +77,9 @@ def hands_file(tmp_path_factory):
     rng = np.random.default_rng(0)
     kernels = [part.weight.shape for part in EfficientNet(HANDS).modules() if isinstance(part, nn.Conv2d)]
     layers = [(rng.normal(size=s).astype(np.float16), rng.normal(size=s[0]).astype(np.float16)) for s in kernels]
+    for name in ("conv_world_landmarks", "conv_landmarks"):
+        weights, biases = rng.normal(size=(63, 1152)), rng.uniform(0, LANDMARK_CROP, 63)
+        layers.append((weights.astype(np.float16), biases.astype(np.float16), name))
     path = tmp_path_factory.mktemp("hands") / "hand_landmark_full.tflite"
     path.write_bytes(tflite_file(layers))
     return path
@@ -94,14 +102,113 @@ def test_the_encoder_that_knows_hands_takes_their_kernels_and_our_grey_values(ha
     assert card["licence"] == "Apache-2.0" and "mediapipe" in card["source"]
     stored = read_convolutions(hands_file)
     picture = torch.randint(0, 256, (1, 3, 16, 16), generator=torch.Generator().manual_seed(0)).float()
-    theirs = functional.conv2d(picture / 255, *stored[0], stride=2, padding=1).clamp(0, 6)
+    theirs = functional.conv2d(functional.pad(picture / 255, (0, 1, 0, 1)), *stored[0], stride=2).clamp(0, 6)
     ours = encoder.eval().stem((picture - 128) / 256)
-    torch.testing.assert_close(ours[..., 1:, 1:], theirs[..., 1:, 1:], atol=1e-4, rtol=1e-4)
+    torch.testing.assert_close(ours[..., :-1, :-1], theirs[..., :-1, :-1], atol=1e-4, rtol=1e-4)
     last = encoder.stages[-1][0]
     x = torch.rand(1, 192, 6, 6, generator=torch.Generator().manual_seed(1))
     wide = functional.conv2d(x, *stored[-2]).clamp(0, 6)
     theirs = functional.conv2d(wide, *stored[-1], padding=1, groups=1152).clamp(0, 6)
     torch.testing.assert_close(last(x), theirs, atol=1e-3, rtol=1e-3)
+
+
+@pytest.mark.parametrize("kernel", [3, 5])
+def test_where_maps_are_halved_a_cell_looks_at_the_second_of_its_pixels(kernel):
+    """As TensorFlow pads; padded on both sides it would look at the first."""
+    halving = EndPaddedConv2d(1, 1, kernel, stride=2, bias=False)
+    with torch.no_grad():
+        halving.weight.zero_()
+        halving.weight[0, 0, kernel // 2, kernel // 2] = 1
+    picture = torch.arange(64.0).view(1, 1, 8, 8)
+    torch.testing.assert_close(halving(picture), picture[..., 1::2, 1::2])
+
+
+def test_the_two_ways_of_padding_have_the_same_weights(hands_file):
+    pads_end, both = EfficientNet(HANDS), EfficientNet(MOVED_HANDS)
+    load_published(pads_end, hands_file)
+    load_published(both, hands_file)
+    assert all(torch.equal(value, both.state_dict()[name]) for name, value in pads_end.state_dict().items())
+    assert sum(isinstance(part, EndPaddedConv2d) for part in pads_end.modules()) == 5
+    assert not any(isinstance(part, EndPaddedConv2d) for part in both.modules())
+
+
+def test_the_published_landmark_layer_without_its_depths(hands_file, tmp_path):
+    layer = nn.Linear(1152, 42)
+    load_landmarks(layer, hands_file)
+    weights, biases = read_layer(hands_file, "conv_landmarks")
+    for joint in range(21):
+        for axis in range(2):
+            assert torch.equal(layer.weight[2 * joint + axis], weights[3 * joint + axis])
+            assert layer.bias[2 * joint + axis] == biases[3 * joint + axis]
+    with pytest.raises(InputError, match=r"landmark_spread needs .* --set encoder=FILE"):
+        load_landmarks(layer, "")
+    other = tmp_path / "other.tflite"
+    other.write_bytes(tflite_file([(np.ones((6, 8), np.float16), np.zeros(6, np.float16), "conv_landmarks")]))
+    with pytest.raises(CheckpointError, match=r"other\.tflite does not hold the expected layer"):
+        load_landmarks(layer, other)
+
+
+GUIDED = PoseNet2DConfig(
+    "mediapipe-hands", 128, stages=1, activation="softmax", judge=True, cues=2, surround=32, landmark_spread=2.0
+)
+
+
+def test_maps_are_of_the_middle_of_a_crop_with_surroundings():
+    """Every level begins where its cells look at the last pixel before the middle."""
+    net = PoseNet2D(dataclasses.replace(GUIDED, landmark_spread=0.0)).eval()
+    assert (net.config.seen_size, net.config.map_size) == (64, 16)
+    maps, hand_logit = net.judged(torch.zeros(2, 3, 128, 128))
+    assert maps[0].shape == (2, 23, 16, 16) and hand_logit is not None and hand_logit.shape == (2, 1)
+    looked_at = [torch.arange(step - 1, 128, step).expand(1, 1, 128 // step, -1) for step in (2, 4, 8, 16, 32)]
+    for level, step in zip(net._seen(looked_at), (2, 4, 8, 16, 32), strict=True):
+        assert level.shape[-2:] == (64 // step, 64 // step)
+        assert level[0, 0, 0].tolist() == list(range(31, 95, step))
+
+
+def test_joints_are_near_to_where_the_published_layer_sees_them():
+    """A layer that sees all joints at (52, 76) of the crop, cell (5, 11) of the maps: a cell two from there is less
+    likely by exp(-1/2)."""
+    net = PoseNet2D(GUIDED).eval()
+    with torch.no_grad():
+        net.landmarks.weight.zero_()
+        net.landmarks.bias.copy_(torch.tensor([54.0, 78.0]).repeat(21))
+    picture = torch.rand(1, 3, 128, 128, generator=torch.Generator().manual_seed(0)) - 0.5
+    (guided,), _ = net.judged(picture)
+    (alone,), _ = net.judged(picture, guided=False)
+    off = (guided - alone)[0]
+    assert torch.equal(off[21:], torch.zeros(2, 16, 16)), "cues are no joints"
+    torch.testing.assert_close(off[:21, 11, 5], torch.zeros(21), atol=1e-5, rtol=0)
+    torch.testing.assert_close(off[:21, 11, 7], torch.full((21,), -0.5), atol=1e-5, rtol=0)
+    torch.testing.assert_close(off[:21, 8, 5], torch.full((21,), -9 / 8), atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"surround": 16}, {"surround": 64}, {"surround": -32}, {"landmark_spread": -1.0}, {"variant": "encoder-decoder"}],
+)
+def test_surroundings_that_cannot_be_are_refused(wrong):
+    with pytest.raises(InputError, match="surround"):
+        dataclasses.replace(GUIDED, **wrong)
+
+
+def guided_stage(hands_file, *settings, weights=()):
+    config = recipe("ours", "pose_net_2d")
+    config = dataclasses.replace(
+        config, networks=dataclasses.replace(SLIM, pose_net_2d=GUIDED), encoder=str(hands_file)
+    )
+    return build_stage(with_override(config, *settings), weights)
+
+
+def test_a_run_takes_the_published_layer_and_leaves_it(hands_file, tmp_path):
+    """Also one that goes on from weights without it; one that has it keeps its own."""
+    expected = read_layer(hands_file, "conv_landmarks")[1].view(21, 3)[:, :2].flatten()
+    fresh = guided_stage(hands_file)
+    assert torch.equal(fresh.net.landmarks.bias, expected) and not fresh.net.landmarks.weight.requires_grad
+    for spread, kept in ((0.0, False), (2.0, True)):
+        before = PoseNet2D(dataclasses.replace(GUIDED, landmark_spread=spread))
+        save_network("pose_net_2d", before, tmp_path / "before.safetensors")
+        after = guided_stage(hands_file, weights=[tmp_path / "before.safetensors"])
+        assert torch.equal(after.net.landmarks.bias, before.landmarks.bias if kept else expected)
 
 
 def test_the_encoder_that_knows_hands_needs_its_file(hands_file, tmp_path):

@@ -7,7 +7,8 @@ import torch
 from tests.training.tiny import tiny_run
 
 from twohands.geometry.heatmaps import encode_heatmaps
-from twohands.training.pose_stages import Pose2DStage, believed_depth, heatmap_losses
+from twohands.models.pose_net_2d import PoseNet2D, PoseNet2DConfig
+from twohands.training.pose_stages import Pose2DStage, believed_depth, heatmap_losses, heatmap_targets, read_out
 
 
 def run_and_maps(depth: float, at_px: float = 0.0):
@@ -52,3 +53,15 @@ def test_a_hand_of_unknown_depth_teaches_its_place_and_not_its_depth(depth):
     assert slope(batch, logits) < 0.03
     assert slope(known, logits) > 10 * slope(batch, logits)
     assert slope(batch, beside) > 10 * slope(batch, logits)
+
+
+def test_targets_of_a_crop_with_surroundings_are_read_where_the_joints_are():
+    """Maps of the middle 64 of 128 pixels: joints in it come back in pixels of the whole crop."""
+    shape = PoseNet2DConfig("mediapipe-hands", 128, stages=1, activation="softmax", sigma=1.5, surround=32)
+    run = tiny_run("pose_net_2d")
+    run = dataclasses.replace(run, networks=dataclasses.replace(run.networks, pose_net_2d=shape))
+    joints = torch.linspace(48, 80, 42).reshape(1, 21, 2)
+    known = {"joints_px": joints, "canonical": torch.zeros(1, 21, 3), "canonical_weight": torch.ones(1, 21)}
+    maps = heatmap_targets(known, run)
+    assert maps.shape == (1, 21, 16, 16)
+    torch.testing.assert_close(read_out(PoseNet2D(shape), maps), joints, atol=0.05, rtol=0)

@@ -194,7 +194,7 @@ def read_out(card: WeightsCard, heatmaps: np.ndarray, crops: list[HandCrop]) -> 
     """Heatmaps -> joints (B, 21, 2) in pixels of the picture, un-mirrored, and scores (B, 21) 0..1: 0 where the crop of
     a wide camera shows what has no pixel (`points_from_crops`)."""
     cells, scores = read_joints(heatmaps[:, :N_JOINTS], card.heatmap_decode)
-    crop_px = cells * (card.crop_size / heatmaps.shape[-1])
+    crop_px = cells * (card.seen_size / heatmaps.shape[-1]) + card.surround
     image_from_crop = np.stack([crop.image_from_crop for crop in crops])
     joints_px, found = points_from_crops(image_from_crop, crop_px, card.crop_size)
     return joints_px, np.where(found, scores, 0.0)

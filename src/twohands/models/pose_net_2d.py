@@ -54,6 +54,12 @@ class PoseNet2DConfig:
     """Also say whether the crop shows a hand of the side it was cut for (ours, U-shapes only)."""
     cues: int = 0
     """Further maps, for PoseNet3D alone, that no label prescribes (ours, U-shapes only)."""
+    surround: int = 0
+    """Pixels at each side of the crop of which there are no maps: room for what the encoder has to see around a hand, a
+    multiple of `CROP_STEP` (ours, mediapipe-hands only)."""
+    landmark_spread: float = 0.0
+    """How near to where the published network sees the joints they are to be, standard deviation in cells; 0 leaves its
+    landmark layer out (ours, mediapipe-hands only)."""
 
     def __post_init__(self) -> None:
         if self.variant not in get_args(PoseNet2DVariant):
@@ -70,13 +76,25 @@ class PoseNet2DConfig:
             raise InputError(f"pose_net_2d: {self.variant} cannot judge its crops")
         if self.cues < 0 or (self.cues and self.variant not in U_SHAPES):
             raise InputError(f"pose_net_2d: {self.variant} cannot give {self.cues} cues")
+        if self.surround % CROP_STEP or not 0 <= 2 * self.surround < self.crop_size or self.landmark_spread < 0:
+            raise InputError(
+                f"pose_net_2d: surround must be a multiple of {CROP_STEP} that leaves some of the crop, and "
+                f"landmark_spread not negative, got {self.surround} and {self.landmark_spread}"
+            )
+        if (self.surround or self.landmark_spread) and self.variant != "mediapipe-hands":
+            raise InputError(f"pose_net_2d: {self.variant} cannot have surround or landmark_spread")
         if not (self.width > 0 and self.sigma > 0):
             raise InputError(f"pose_net_2d: width and sigma must be positive, got {self.width} and {self.sigma}")
 
     @property
     def map_size(self) -> int:
         """Rows and columns of the maps: one cell for 8 pixels of the crop, for 4 of a U-shape's."""
-        return self.crop_size // (4 if self.variant in U_SHAPES else 8)
+        return self.seen_size // (4 if self.variant in U_SHAPES else 8)
+
+    @property
+    def seen_size(self) -> int:
+        """Rows and columns of the part of the crop of which there are maps."""
+        return self.crop_size - 2 * self.surround
 
 
 def judge_trunk(inputs: int, outputs: int) -> nn.Sequential:
@@ -168,6 +186,7 @@ class PoseNet2D(nn.Module):
             self.net = PretrainedEncoderDecoder(maps, config.width, layout=PRETRAINED[config.variant])
         else:
             self.net = PoseMachine(config)
+        self.landmarks = nn.Linear(self.net.bottom_channels, 2 * N_JOINTS) if config.landmark_spread else None
         self.judge, self.judge_trunk = None, nn.Identity()
         if not isinstance(self.net, PoseMachine) and config.judge:
             channels = self.net.bottom_channels
@@ -194,12 +213,16 @@ class PoseNet2D(nn.Module):
         """
         return self.judged(x)[0]
 
-    def judged(self, x: Tensor, rows: Tensor | None = None) -> tuple[list[Tensor], Tensor | None]:
+    def judged(
+        self, x: Tensor, rows: Tensor | None = None, *, guided: bool = True
+    ) -> tuple[list[Tensor], Tensor | None]:
         """Raw maps as `forward` gives them, and how sure it is of its crops.
 
         Args:
             x: as for `forward`.
             rows: (B,) bool, the crops whose maps are wanted; None for all.
+            guided: whether the published landmark layer has its say, where there is one. While the decoder learns it
+                has not: of renderings the layer knows less, and the decoder would learn to overrule it.
 
         Returns:
             Maps; and (B, 1) log-odds that the crop shows a hand of the side that it was cut for (a left-like one), None
@@ -207,11 +230,39 @@ class PoseNet2D(nn.Module):
         """
         if isinstance(self.net, PoseMachine):
             return self.net(x if rows is None else x[rows]), None
-        encoded = self.net.encode(x)
+        everything = self.net.encode(x)
+        encoded = self._seen(everything)
         hand_logit = None if self.judge is None else self.judge(self.judge_trunk(encoded[-1]).mean(dim=(2, 3)))
+        bottom = everything[-1]
         if rows is not None:
-            encoded = [level[rows] for level in encoded]
-        return [self.net.decode(encoded)], hand_logit
+            encoded, bottom = [level[rows] for level in encoded], bottom[rows]
+        maps = self.net.decode(encoded)
+        if self.landmarks is not None and guided:
+            maps = torch.cat([maps[:, :N_JOINTS] + self._nearness(bottom), maps[:, N_JOINTS:]], dim=1)
+        return [maps], hand_logit
+
+    def _seen(self, encoded: list[Tensor]) -> list[Tensor]:
+        """An encoder's levels in the part of the crop of which there are maps. A cell of the coarsest level is as large
+        as `CROP_STEP`; with maps padded at the end it looks at its last pixel, so each level's window begins a cell
+        early."""
+        if not self.config.surround:
+            return encoded
+        levels = []
+        for level in encoded:
+            cells = level.shape[-1] * self.config.surround // self.config.crop_size
+            size = level.shape[-1] - 2 * cells
+            levels.append(level[:, :, cells - 1 : cells - 1 + size, cells - 1 : cells - 1 + size])
+        return levels
+
+    def _nearness(self, bottom: Tensor) -> Tensor:
+        """(B, 21, M, M) logarithm of how near cells are to where the published network sees the joints."""
+        assert self.landmarks is not None
+        points = self.landmarks(bottom.float().mean(dim=(2, 3))).view(-1, N_JOINTS, 2, 1)
+        size = self.config.map_size
+        step = self.config.seen_size / size
+        centres = torch.arange(size, device=points.device) + 0.5
+        off = ((points - self.config.surround) / step - centres) ** 2  # (B, 21, 2, M)
+        return -(off[:, :, 1, :, None] + off[:, :, 0, None, :]) / (2 * self.config.landmark_spread**2)
 
     def probabilities(self, maps: Tensor) -> Tensor:
         """Softmax over the cells of each of the joints' maps, (B, 21, M, M), sum 1 per joint."""

@@ -37,6 +37,12 @@ def read_slopes(path: str | Path) -> list[Tensor]:
     return _read(path, _slopes)
 
 
+def read_layer(path: str | Path, name: str) -> tuple[Tensor, Tensor]:
+    """Weights (outputs, inputs) and biases (outputs,) of the fully connected layer whose weights have this in their
+    name, float32; errors as of `read_convolutions`."""
+    return _read(path, lambda model, tflite: _layer(model, tflite, name))
+
+
 def _read(path: str | Path, of: Callable[[Any, Any], list[Any]]) -> list[Any]:
     try:
         import tflite
@@ -51,7 +57,7 @@ def _read(path: str | Path, of: Callable[[Any, Any], list[Any]]) -> list[Any]:
     try:
         model = tflite.Model.GetRootAsModel(content, 0)
         return of(model, tflite)
-    except (struct.error, TypeError, ValueError, IndexError, KeyError, AttributeError) as error:
+    except (struct.error, TypeError, ValueError, IndexError, KeyError, AttributeError, StopIteration) as error:
         raise CheckpointError(f"{path} is no readable TensorFlow Lite file: {error}") from error
 
 
@@ -62,16 +68,22 @@ def _convolutions(model: Any, tflite: Any) -> list[tuple[Tensor, Tensor]]:
     }
     return [
         (kernel.permute(orders[kind]).contiguous(), bias)
-        for kind, (kernel, bias) in _stored(model, tflite, tuple(orders))
+        for kind, _, (kernel, bias) in _stored(model, tflite, tuple(orders))
     ]
 
 
 def _slopes(model: Any, tflite: Any) -> list[Tensor]:
-    return [slopes.flatten() for _, (slopes,) in _stored(model, tflite, (tflite.BuiltinOperator.PRELU,))]
+    return [slopes.flatten() for _, _, (slopes,) in _stored(model, tflite, (tflite.BuiltinOperator.PRELU,))]
 
 
-def _stored(model: Any, tflite: Any, kinds: tuple[int, ...]) -> Iterator[tuple[int, list[Tensor]]]:
-    """Kind of every node of some kinds, and what the file stores for it."""
+def _layer(model: Any, tflite: Any, name: str) -> tuple[Tensor, Tensor]:
+    layers = {said: stored for _, said, stored in _stored(model, tflite, (tflite.BuiltinOperator.FULLY_CONNECTED,))}
+    weights, biases = next(layers[said] for said in layers if name in said.split("/"))
+    return weights, biases
+
+
+def _stored(model: Any, tflite: Any, kinds: tuple[int, ...]) -> Iterator[tuple[int, str, list[Tensor]]]:
+    """Kind of every node of some kinds, the name of the first tensor that the file stores for it, and all of these."""
     graph = model.Subgraphs(0)
     sources: dict[int, int] = {}  # tensor -> the stored one that it widens
 
@@ -88,4 +100,5 @@ def _stored(model: Any, tflite: Any, kinds: tuple[int, ...]) -> Iterator[tuple[i
         if kind == tflite.BuiltinOperator.DEQUANTIZE:
             sources[int(node.OutputsAsNumpy()[0])] = int(inputs[0])
         elif kind in kinds:
-            yield kind, [stored(int(number)) for number in inputs[1:]]
+            name = graph.Tensors(int(inputs[1])).Name() or b""
+            yield kind, name.decode(), [stored(int(number)) for number in inputs[1:]]

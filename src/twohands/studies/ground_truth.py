@@ -135,8 +135,8 @@ class TruthfulEstimator:
                 continue
             masks = no_mask if truth.masks is None else truth.masks
             crop = self.estimator.stages.crop(sample.image, masks, truth.boxes_px[side], side, sample.camera)
-            joints = apply_homography(np.linalg.inv(crop.image_from_crop), sample.joints_px[side])
-            maps[side] = true_heatmaps(joints, canonical[side, :, 2], card.crop_size, self._targets)
+            joints = apply_homography(np.linalg.inv(crop.image_from_crop), sample.joints_px[side]) - card.surround
+            maps[side] = true_heatmaps(joints, canonical[side, :, 2], card.seen_size, self._targets)
         if not maps:
             return None
         empty = np.zeros_like(next(iter(maps.values())))
@@ -147,9 +147,9 @@ def true_heatmaps(joints_crop_px: np.ndarray, z: np.ndarray, crop_size: int, tar
     """Maps as a perfect PoseNet2D would give them.
 
     Args:
-        joints_crop_px: (21, 2) pixels of the crop; joints outside it have empty maps.
+        joints_crop_px: (21, 2) pixels of the part of the crop of which there are maps; joints outside have empty ones.
         z: (21,) canonical depth.
-        crop_size: side of the crop in pixels.
+        crop_size: side of that part in pixels.
         targets: how they look.
 
     Returns:

@@ -37,7 +37,8 @@ def heatmap_targets(batch: Batch, config: TrainConfig, believed: Tensor | None =
         z = batch["canonical"][..., 2]
         if believed is not None:
             z = torch.where(batch["canonical_weight"] > 0, z, believed)
-    return encode_heatmaps(batch["joints_px"], crop_size=net.crop_size, map_size=net.map_size, sigma=net.sigma, z=z)
+    joints_px = batch["joints_px"] - net.surround
+    return encode_heatmaps(joints_px, crop_size=net.seen_size, map_size=net.map_size, sigma=net.sigma, z=z)
 
 
 def believed_depth(net: PoseNet2D, maps: Tensor) -> Tensor:
@@ -61,7 +62,7 @@ def heatmap_losses(net: PoseNet2D, outputs: Sequence[Tensor], batch: Batch, conf
     target, weight = heatmap_targets(batch, config, believed_depth(net, outputs[-1])), batch["weight"]
     if config.loss.heatmap == "mse":
         return {"heatmap": losses.heatmap_mse(outputs, target, weight, config.loss.reduction)}
-    cells = batch["joints_px"] * (net.config.map_size / net.config.crop_size)
+    cells = (batch["joints_px"] - net.config.surround) * (net.config.map_size / net.config.seen_size)
     result = {"heatmap": torch.stack([losses.heatmap_cross_entropy(maps, target, weight) for maps in outputs]).sum()}
     if config.loss.soft_argmax:
         points = [decode_softargmax(net.probabilities(maps))[0] for maps in outputs]
@@ -89,7 +90,8 @@ def only_hands(batch: Batch) -> tuple[Tensor, Batch]:
 def read_out(net: PoseNet2D, heatmaps: Tensor) -> Tensor:
     """Joints (N, 21, 2) in crop pixels from `PoseNet2D.heatmaps`, read as the maps were trained."""
     decode = decode_softargmax if net.config.activation == "softmax" else decode_subpixel
-    return decode(heatmaps[:, :N_JOINTS].detach().float())[0] * (net.config.crop_size / net.config.map_size)
+    cells = decode(heatmaps[:, :N_JOINTS].detach().float())[0]
+    return cells * (net.config.seen_size / net.config.map_size) + net.config.surround
 
 
 def with_silent_cues(maps: Tensor, cues: int) -> Tensor:
@@ -147,7 +149,7 @@ class Pose2DStage(Stage):
 
     def forward(self, batch: Batch, iteration: int) -> Losses:
         hands, hand_batch = only_hands(batch)
-        outputs, hand_logit = self.net.judged(normalised(batch["image"]), hands)
+        outputs, hand_logit = self.net.judged(normalised(batch["image"]), hands, guided=False)
         two_d = heatmap_losses(self.net, outputs, hand_batch, self.config)
         return two_d | judge_losses(hand_logit, batch, self.config)
 
@@ -230,7 +232,7 @@ class Pose3DStage(Stage):
         net, distance = self.net_2d.config, batch["distance"]
         return losses.place_loss(
             predicted,
-            points * (net.crop_size / net.map_size),
+            points * (net.seen_size / net.map_size) + net.surround,
             scores,
             batch["rays_from_crop"],
             batch["joints_px"][:, ROOT],

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from twohands.errors import InputError
 from twohands.models.blocks import freeze_batch_norm
 from twohands.models.checkpoint import load_network, network_name
-from twohands.models.efficientnet import LEVELS, encoder_of, load_published, palm_encoder_of
+from twohands.models.efficientnet import LEVELS, encoder_of, load_landmarks, load_published, palm_encoder_of
 from twohands.models.hand_seg_net import HandSegNetConfig
 from twohands.models.pose_net_2d import PoseNet2D, PoseNet2DConfig
 from twohands.models.pose_net_3d import PoseNet3DConfig
@@ -53,6 +53,8 @@ def build_stage(config: TrainConfig, weights: Sequence[Path] = (), *, require_we
     for name, network in known.items():
         prepare_encoder(network, config, fresh=require_weights and name not in filled)
         prepare_palm(network, config, fresh=require_weights and not getattr(filled.get(name), "palm", False))
+        layered = getattr(filled.get(name), "landmark_spread", 0) > 0
+        prepare_landmarks(network, config, fresh=require_weights and not layered)
     if require_weights and config.stage == "pose_net_3d" and "pose_net_2d" not in filled:
         raise InputError("stage pose_net_3d needs the weights of a trained pose_net_2d (--weights FILE)")
     if config.optim.frozen_norm:
@@ -85,6 +87,16 @@ def prepare_encoder(network: nn.Module, config: TrainConfig, *, fresh: bool) -> 
     last = LEVELS[frozen - 1] if frozen else -1
     for part in (encoder.stem, *encoder.stages[: last + 1]) if frozen else ():
         part.requires_grad_(False)
+
+
+def prepare_landmarks(network: nn.Module, config: TrainConfig, *, fresh: bool) -> None:
+    """Let a published landmark layer stay as it is, in place; nothing where a network has none. Arguments and errors
+    as of `prepare_encoder`."""
+    if not isinstance(network, PoseNet2D) or network.landmarks is None:
+        return
+    if fresh:
+        load_landmarks(network.landmarks, config.encoder)
+    network.landmarks.requires_grad_(False)
 
 
 def prepare_palm(network: nn.Module, config: TrainConfig, *, fresh: bool) -> None:
@@ -126,9 +138,8 @@ def _with_free_settings(found: Any, asked: Any) -> Any:
         size = {"height": asked.height, "width_px": asked.width_px}
         return dataclasses.replace(found, **size, context=context, palm=found.palm or asked.palm)
     if isinstance(found, PoseNet2DConfig) and isinstance(asked, PoseNet2DConfig):
-        return dataclasses.replace(
-            found, crop_size=asked.crop_size, judge=found.judge or asked.judge, cues=max(found.cues, asked.cues)
-        )
+        kept = {name: getattr(asked, name) for name in ("crop_size", "surround", "landmark_spread")}
+        return dataclasses.replace(found, **kept, judge=found.judge or asked.judge, cues=max(found.cues, asked.cues))
     if isinstance(found, PoseNet3DConfig) and isinstance(asked, PoseNet3DConfig):
         return dataclasses.replace(found, cues=max(found.cues, asked.cues))
     return found
