@@ -6,7 +6,8 @@
 
 The pictures are those of scripts/fit_handedness.py, whose decision does not depend on the answer. Both pairs see every
 candidate that is a true hand. The weights are those of a logistic regression on which pair is better,
-in which a hand counts as much as the pairs' errors differ. Prints the mean error of the joints of the pair that is said
+in which a hand counts as much as the pairs' errors differ, and all real hands together as much as all rendered ones.
+Prints the mean error of the joints of the pair that is said
 to count, beside those of either pair and of the better one in truth, of pictures held out in turn; writes the weights
 into the card's "decision".
 
@@ -42,19 +43,22 @@ from twohands.types import HandSample
 
 LARGEST_ERROR: Final = 0.5
 """Of a joint, in sizes of the hand: farther off is no worse."""
+REAL: Final = "digits"
+"""Kind of the pictures that are photographs of hands, as `planned` calls it."""
 PENALTY: Final = 1e-3
 """Of half the square of a weight times its feature's standard deviation."""
 
 
 class Both(NamedTuple):
-    """A hand that both pairs have seen: kind and number of its picture, `second_features`, and mean errors of the
-    joints of either, in sizes of the hand."""
+    """A hand that both pairs have seen: kind and number of its picture, `second_features`, mean errors of the joints of
+    either, in sizes of the hand, and whether it is a photographed one."""
 
     kind: str
     scene: int
     features: np.ndarray
     first: float
     second: float
+    real: bool = False
 
 
 def main() -> int:
@@ -101,7 +105,7 @@ def hands_seen(estimator: HandEstimator, sample: HandSample, kind: str, scene: i
     for row, side in enumerate(sides):
         if asked[row] and int(side) in {true_side(seen.joints_px[row], sample) for seen in (first, second)}:
             errors = [mean_error(seen, row, sample, int(side)) for seen in (first, second)]
-            hands.append(Both(kind, scene, features[row], *errors))
+            hands.append(Both(kind, scene, features[row], *errors, real=kind.startswith(REAL)))
     return hands
 
 
@@ -123,7 +127,8 @@ def fit(hands: Sequence[Both]) -> np.ndarray:
     if not hands:
         raise InputError("no hand was found in these pictures")
     features = np.array([hand.features for hand in hands])
-    gain = np.array([hand.first - hand.second for hand in hands])
+    gain, real = np.array([hand.first - hand.second for hand in hands]), np.array([hand.real for hand in hands])
+    gain = balanced(gain, real)
     spread = np.maximum(features.std(axis=0), 1e-9)
     spread[0] = 1.0
 
@@ -134,6 +139,12 @@ def fit(hands: Sequence[Both]) -> np.ndarray:
         return float(loss + PENALTY / 2 * weights @ weights), slope + PENALTY * weights
 
     return minimize(cost, np.zeros(features.shape[1]), jac=True, method="L-BFGS-B").x / spread
+
+
+def balanced(gain: np.ndarray, real: np.ndarray) -> np.ndarray:
+    """What the second pair gains of hands, (N,), so that real ones, (N,) bool, count as much as all others."""
+    sums = [np.abs(gain[rows]).sum() for rows in (real, ~real)]
+    return np.where(real, gain * sums[1] / sums[0], gain) if min(sums) > 0 else gain
 
 
 def held_out(hands: Sequence[Both]) -> np.ndarray:

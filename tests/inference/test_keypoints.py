@@ -84,7 +84,7 @@ def test_empty_maps_have_score_zero():
 
 
 def test_maps_of_the_middle_of_a_crop_are_read_in_pixels_of_the_picture():
-    """Maps of 32 cells show the middle 128 of 192 pixels; the crop is twice as fine as the picture, from (10, 20) on."""
+    """Maps of 32 cells show the middle 128 of 192 pixels; the crop is twice as fine as the picture."""
     joints = np.random.default_rng(3).uniform(5, 27, (21, 2))
     crop = HandCrop(np.zeros((192, 192, 3), np.uint8), np.array([[0.5, 0, 10], [0, 0.5, 20], [0, 0, 1]]), 0, False)
     card = make_card(crop_size=192, surround=32)

@@ -80,6 +80,7 @@ def hands_file(tmp_path_factory):
     for name in ("conv_world_landmarks", "conv_landmarks"):
         weights, biases = rng.normal(size=(63, 1152)), rng.uniform(0, LANDMARK_CROP, 63)
         layers.append((weights.astype(np.float16), biases.astype(np.float16), name))
+    layers.append((rng.normal(size=(1, 1152)).astype(np.float16), np.ones(1, np.float16), "conv_handflag"))
     path = tmp_path_factory.mktemp("hands") / "hand_landmark_full.tflite"
     path.write_bytes(tflite_file(layers))
     return path
@@ -133,8 +134,9 @@ def test_the_two_ways_of_padding_have_the_same_weights(hands_file):
 
 
 def test_the_published_landmark_layer_without_its_depths(hands_file, tmp_path):
-    layer = nn.Linear(1152, 42)
+    layer = nn.Linear(1152, 43)
     load_landmarks(layer, hands_file)
+    assert torch.equal(layer.weight[42:], read_layer(hands_file, "conv_handflag")[0]) and layer.bias[42] == 1
     weights, biases = read_layer(hands_file, "conv_landmarks")
     for joint in range(21):
         for axis in range(2):
@@ -143,7 +145,10 @@ def test_the_published_landmark_layer_without_its_depths(hands_file, tmp_path):
     with pytest.raises(InputError, match=r"landmark_spread needs .* --set encoder=FILE"):
         load_landmarks(layer, "")
     other = tmp_path / "other.tflite"
-    other.write_bytes(tflite_file([(np.ones((6, 8), np.float16), np.zeros(6, np.float16), "conv_landmarks")]))
+    wrong = [
+        (np.ones((6, 8), np.float16), np.zeros(6, np.float16), name) for name in ("conv_landmarks", "conv_handflag")
+    ]
+    other.write_bytes(tflite_file(wrong))
     with pytest.raises(CheckpointError, match=r"other\.tflite does not hold the expected layer"):
         load_landmarks(layer, other)
 
@@ -166,15 +171,17 @@ def test_maps_are_of_the_middle_of_a_crop_with_surroundings():
 
 
 def test_joints_are_near_to_where_the_published_layer_sees_them():
-    """A layer that sees all joints at (52, 76) of the crop, cell (5, 11) of the maps: a cell two from there is less
-    likely by exp(-1/2)."""
+    """Layers that see all joints at (54, 78) of the crop, cell (5, 11) of the maps: a cell two from there is less
+    likely by exp(-1/2). They also say that there is a hand."""
     net = PoseNet2D(GUIDED).eval()
     with torch.no_grad():
         net.landmarks.weight.zero_()
-        net.landmarks.bias.copy_(torch.tensor([54.0, 78.0]).repeat(21))
+        net.landmarks.bias.copy_(torch.tensor([*([54.0, 78.0] * 21), 3.0]))
     picture = torch.rand(1, 3, 128, 128, generator=torch.Generator().manual_seed(0)) - 0.5
-    (guided,), _ = net.judged(picture)
-    (alone,), _ = net.judged(picture, guided=False)
+    (guided,), judged = net.judged(picture)
+    (alone,), judge = net.judged(picture, guided=False)
+    assert judged is not None and judge is not None
+    assert torch.equal(judged[:, :1], judge) and judged[:, 1].tolist() == [3.0]
     off = (guided - alone)[0]
     assert torch.equal(off[21:], torch.zeros(2, 16, 16)), "cues are no joints"
     torch.testing.assert_close(off[:21, 11, 5], torch.zeros(21), atol=1e-5, rtol=0)
@@ -201,7 +208,7 @@ def guided_stage(hands_file, *settings, weights=()):
 
 def test_a_run_takes_the_published_layer_and_leaves_it(hands_file, tmp_path):
     """Also one that goes on from weights without it; one that has it keeps its own."""
-    expected = read_layer(hands_file, "conv_landmarks")[1].view(21, 3)[:, :2].flatten()
+    expected = torch.cat([read_layer(hands_file, "conv_landmarks")[1].view(21, 3)[:, :2].flatten(), torch.ones(1)])
     fresh = guided_stage(hands_file)
     assert torch.equal(fresh.net.landmarks.bias, expected) and not fresh.net.landmarks.weight.requires_grad
     for spread, kept in ((0.0, False), (2.0, True)):

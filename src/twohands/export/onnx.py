@@ -57,7 +57,7 @@ class HeatmapNet(nn.Module):
         self.net = net
 
     def forward(self, x: Tensor) -> tuple[Tensor, ...]:
-        """(B, 3, S, S) -> heatmaps (B, 21 + cues, 32, 32) and perhaps (B, 1) log-odds."""
+        """(B, 3, S, S) -> heatmaps (B, 21 + cues, 32, 32) and perhaps (B, 1 or 2) log-odds."""
         outputs, hand_logit = self.net.judged(x)
         heatmaps = self.net.heatmaps(outputs)
         return (heatmaps,) if hand_logit is None else (heatmaps, hand_logit)

@@ -55,7 +55,8 @@ class Networks:
             and energy_logits (B, 2, h', w') for left, right; and, if the card says so, the maps that
             `geometry.picture_turn.turn_logits` reads.
         pose_net_2d: (B, 3, S, S) -> heatmaps (B, 21 + cues, M, M), and (B,) log-odds that a crop shows a hand of the
-            side it was cut for, 0 from a network without a hand classifier.
+            side it was cut for, 0 from a network without a hand classifier; of one with published layers, a hand of
+            either side.
         pose_net_3d: (B, 21 + cues, M, M) -> canonical joints (B, 21, 3) of a left-like hand.
         runtime: what runs them and in which arithmetic, for the reader.
         second: pose networks that look where these doubt; None without any.
@@ -186,7 +187,7 @@ def load_networks(folder: Path, card: WeightsCard, threads: int = 0) -> Networks
 
     def pose_networks(folder: Path, card: WeightsCard) -> tuple[OpenVinoNetwork, OpenVinoNetwork]:
         maps = N_JOINTS + card.cues
-        outputs = (maps, 1) if card.hand_logit else (maps,)
+        outputs = (maps, card.hand_logit + card.published_layers) if card.hand_logit else (maps,)
         return opened(folder, card, "pose_net_2d", 3, *outputs), opened(folder, card, "pose_net_3d", maps, N_JOINTS)
 
     maps = (3, 2, TURN_MAPS) if card.says_turn else (3, 2)
@@ -219,7 +220,7 @@ def _pose_functions(
 
     def pose_net_2d(batch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         heatmaps, *judged = pose_2d(batch)
-        return heatmaps, judged[0][:, 0] if judged else np.zeros(len(batch), np.float32)
+        return heatmaps, judged[0][:, -1] if judged else np.zeros(len(batch), np.float32)
 
     return pose_net_2d, partial(_only_output, pose_3d)
 

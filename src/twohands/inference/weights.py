@@ -88,6 +88,7 @@ class WeightsCard:
         hand_logit: whether PoseNet2D also says if its crops show hands; "judge" of the network's config.
         cues: number of maps that PoseNet2D gives beside those of the joints, for PoseNet3D.
         surround: pixels at each side of PoseNet2D's input of which there are no maps.
+        published_layers: whether PoseNet2D has those of a published network, which then says whether there is a hand.
         networks: networks that the preset takes of another one -> name of that one's folder, beside its own.
         int8: networks that run in 8 bits -> name of an activation -> its largest size (`inference.int8`).
         check_size: side of the square input of HandCheck in pixels; 0 where the folder has none.
@@ -109,6 +110,7 @@ class WeightsCard:
     cues: int = 0
     says_turn: bool = False
     surround: int = 0
+    published_layers: bool = False
     networks: Mapping[str, str] = field(default_factory=dict)
     int8: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     check_size: int = 0
@@ -196,6 +198,7 @@ class WeightsCard:
                 hand_logit=bool(pose.get("judge", False)),
                 cues=int(pose.get("cues", 0)),
                 surround=int(pose.get("surround", 0)),
+                published_layers=float(pose.get("landmark_spread", 0)) > 0,
                 says_turn=bool(seg.get("turn", False)),
                 networks={str(name): str(folder) for name, folder in card.get("networks", {}).items()},
                 int8=_peaks(card.get("int8", {})),

