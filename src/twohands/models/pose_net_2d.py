@@ -186,7 +186,9 @@ class PoseNet2D(nn.Module):
             self.net = PretrainedEncoderDecoder(maps, config.width, layout=PRETRAINED[config.variant])
         else:
             self.net = PoseMachine(config)
-        self.landmarks = nn.Linear(self.net.bottom_channels, 2 * N_JOINTS + 1) if config.landmark_spread else None
+        self.landmarks = None
+        if isinstance(self.net, PretrainedEncoderDecoder) and config.landmark_spread:
+            self.landmarks = nn.Linear(self.net.bottom_channels, 2 * N_JOINTS + 1)
         self.judge, self.judge_trunk = None, nn.Identity()
         if not isinstance(self.net, PoseMachine) and config.judge:
             channels = self.net.bottom_channels

@@ -40,7 +40,8 @@ def read_slopes(path: str | Path) -> list[Tensor]:
 def read_layer(path: str | Path, name: str) -> tuple[Tensor, Tensor]:
     """Weights (outputs, inputs) and biases (outputs,) of the fully connected layer whose weights have this in their
     name, float32; errors as of `read_convolutions`."""
-    return _read(path, lambda model, tflite: _layer(model, tflite, name))
+    weights, biases = _read(path, lambda model, tflite: _layer(model, tflite, name))
+    return weights, biases
 
 
 def _read(path: str | Path, of: Callable[[Any, Any], list[Any]]) -> list[Any]:
@@ -76,10 +77,9 @@ def _slopes(model: Any, tflite: Any) -> list[Tensor]:
     return [slopes.flatten() for _, _, (slopes,) in _stored(model, tflite, (tflite.BuiltinOperator.PRELU,))]
 
 
-def _layer(model: Any, tflite: Any, name: str) -> tuple[Tensor, Tensor]:
+def _layer(model: Any, tflite: Any, name: str) -> list[Tensor]:
     layers = {said: stored for _, said, stored in _stored(model, tflite, (tflite.BuiltinOperator.FULLY_CONNECTED,))}
-    weights, biases = next(layers[said] for said in layers if name in said.split("/"))
-    return weights, biases
+    return next(layers[said] for said in layers if name in said.split("/"))
 
 
 def _stored(model: Any, tflite: Any, kinds: tuple[int, ...]) -> Iterator[tuple[int, str, list[Tensor]]]:
