@@ -29,6 +29,7 @@ from twohands.models.pose_net_2d import PoseNet2D, PoseNet2DConfig
 from twohands.models.presets import SLIM
 from twohands.models.tflite import read_convolutions, read_layer
 from twohands.training.config import recipe, with_override
+from twohands.training.pose_stages import Pose3DStage
 from twohands.training.stages import build_stage
 from twohands.training.state import build_optimizer
 
@@ -216,6 +217,14 @@ def test_a_run_takes_the_published_layer_and_leaves_it(hands_file, tmp_path):
         save_network("pose_net_2d", before, tmp_path / "before.safetensors")
         after = guided_stage(hands_file, weights=[tmp_path / "before.safetensors"])
         assert torch.equal(after.net.landmarks.bias, before.landmarks.bias if kept else expected)
+
+
+def test_a_network_with_published_layers_does_not_learn_along():
+    config = dataclasses.replace(recipe("ours", "pose_net_3d"), networks=dataclasses.replace(SLIM, pose_net_2d=GUIDED))
+    with pytest.raises(InputError, match=r"set optim\.along_rate=0"):
+        Pose3DStage(config, PoseNet2D(GUIDED))
+    frozen = Pose3DStage(with_override(config, "optim.along_rate=0"), PoseNet2D(GUIDED))
+    assert not any(parameter.requires_grad for parameter in frozen.net_2d.parameters())
 
 
 def test_the_encoder_that_knows_hands_needs_its_file(hands_file, tmp_path):

@@ -9,8 +9,9 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
+from threading import Lock
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -98,9 +99,9 @@ class OpenVinoNetwork:
         any_size: bool = False,
         int8_peaks: Mapping[str, float] = NO_PEAKS,
     ) -> None:
-        self._core = open_core()
+        core = open_core()
         try:
-            model = read_network(self._core, path)
+            model = read_network(core, path)
         except (RuntimeError, ValueError) as error:  # ValueError: of its own message, where a damaged name is no text
             raise CheckpointError(f"{path}: not a readable ONNX network") from error
         found_in = [_channels(port) for port in model.inputs]
@@ -113,22 +114,21 @@ class OpenVinoNetwork:
         quantise(model, int8_peaks)
         if any_size:
             model.reshape([-1, input_channels, -1, -1])
-        self._model, self._threads = model, threads
-        self._idle: deque[Any] = deque()  # requests that no thread is using
-
-    @cached_property
-    def _network(self) -> Any:
-        """Compiled when first asked for."""
         config = {
             "PERFORMANCE_HINT": "LATENCY",
-            "INFERENCE_NUM_THREADS": self._threads,
+            "INFERENCE_NUM_THREADS": threads,
             "INFERENCE_PRECISION_HINT": "f32",  # bfloat16 where there is AMX sees other hands than elsewhere
         }
-        return self._core.compile_model(self._model, "CPU", config)
+        self._to_compile: Callable[[], Any] | None = partial(core.compile_model, model, "CPU", config)
+        self._compiling = Lock()
+        self._idle: deque[Any] = deque()  # requests that no thread is using
 
     def compile(self) -> None:
         """Do now what the first call would do first."""
-        _ = self._network
+        with self._compiling:
+            if self._to_compile is not None:
+                self._network = self._to_compile()
+                self._to_compile = None  # what was read takes as much memory again
 
     def __call__(self, batch: np.ndarray) -> tuple[np.ndarray, ...]:
         """Run the network.
@@ -139,6 +139,7 @@ class OpenVinoNetwork:
         Returns:
             Every output, in the order of the file.
         """
+        self.compile()
         try:
             request = self._idle.pop()
         except IndexError:
@@ -151,12 +152,14 @@ class OpenVinoNetwork:
     @property
     def threads(self) -> int:
         """CPU threads that it really uses."""
+        self.compile()
         return self._network.get_property("INFERENCE_NUM_THREADS")
 
     @property
     def arithmetic(self) -> set[str]:
         """Numbers that convolutions and matrices are multiplied in: "f32", "bf16", "f16", "int8"; as compiled for this
         processor, whatever the file says."""
+        self.compile()
         layers = [op.get_rt_info() for op in self._network.get_runtime_model().get_ops()]
         heavy = [layer for layer in layers if layer["layerType"].value in HEAVY_LAYERS]
         found = {str(layer["runtimePrecision"].value) for layer in heavy}

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from twohands.errors import InputError
 from twohands.geometry.boxes import apply_homography
 from twohands.geometry.heatmaps import decode_softargmax, decode_subpixel, decode_windowed, encode_heatmaps
 from twohands.models.pose_net_2d import PoseNet2D
@@ -170,10 +171,18 @@ class Pose3DStage(Stage):
 
     The paper's order of training keeps PoseNet2D fixed. With `optim.along_rate` it keeps learning with its own loss and
     with the gradients that arrive through the maps (ours).
+
+    Raises:
+        InputError: a PoseNet2D with published layers would learn.
     """
 
     def __init__(self, config: TrainConfig, pose_net_2d: PoseNet2D) -> None:
         super().__init__()
+        if config.optim.along_rate > 0 and pose_net_2d.landmarks is not None:
+            raise InputError(
+                "a PoseNet2D with landmark_spread cannot learn along: it would learn to overrule its published layers; "
+                "set optim.along_rate=0"
+            )
         self.config = config
         self.net_2d = pose_net_2d
         self.net_3d = PoseNet3D(config.networks.pose_net_3d)
