@@ -114,9 +114,14 @@ def cells(hands: Sequence[Known], camera: PinholeCamera, length_m: float, draws:
         for draw in range(draws):
             drawn = rng.choice(len(hands), count, replace=False)
             wrong_m = length_m * LENGTHS[draw % len(LENGTHS)]
-            taped = [estimates[i] for i in drawn]
-            spreads = {"focal_spread": spread, "length_spread": length_spread("assumed")}
-            fit = fit_tape(taped, camera, true_m[drawn], wrong_m, **spreads)
+            fit = fit_tape(
+                [estimates[i] for i in drawn],
+                camera,
+                true_m[drawn],
+                wrong_m,
+                focal_spread=spread,
+                length_spread=length_spread("assumed"),
+            )
             others = np.flatnonzero(~np.isin(pictures, pictures[drawn]))
             placed_m = ranges([estimates[i] for i in others], zoomed(camera, fit.focal_scale), fit.hand_length_m)
             errors.append(np.abs(placed_m / true_m[others] - 1))

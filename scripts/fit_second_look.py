@@ -7,9 +7,8 @@
 The pictures are those of scripts/fit_handedness.py, whose decision does not depend on the answer. Both pairs see every
 candidate that is a true hand. The weights are those of a logistic regression on which pair is better,
 in which a hand counts as much as the pairs' errors differ, and all real hands together as much as all rendered ones.
-Prints the mean error of the joints of the pair that is said
-to count, beside those of either pair and of the better one in truth, of pictures held out in turn; writes the weights
-into the card's "decision".
+Prints the mean error of the joints of the pair that is said to count, beside those of either pair and of the better one
+in truth, of pictures held out in turn; writes the weights into the card's "decision".
 
 Networks know pictures like those that they learnt from better than anybody's camera, and are sure of them. With
 `--judges FOLDER`, the pose networks of other weights look in place of the first ones as well. If these never saw
@@ -50,15 +49,19 @@ PENALTY: Final = 1e-3
 
 
 class Both(NamedTuple):
-    """A hand that both pairs have seen: kind and number of its picture, `second_features`, mean errors of the joints of
-    either, in sizes of the hand, and whether it is a photographed one."""
+    """A hand that both pairs have seen: kind and number of its picture, `second_features`, and mean errors of the
+    joints of either, in sizes of the hand."""
 
     kind: str
     scene: int
     features: np.ndarray
     first: float
     second: float
-    real: bool = False
+
+    @property
+    def real(self) -> bool:
+        """Whether it is a photographed one."""
+        return self.kind.startswith(REAL)
 
 
 def main() -> int:
@@ -105,7 +108,7 @@ def hands_seen(estimator: HandEstimator, sample: HandSample, kind: str, scene: i
     for row, side in enumerate(sides):
         if asked[row] and int(side) in {true_side(seen.joints_px[row], sample) for seen in (first, second)}:
             errors = [mean_error(seen, row, sample, int(side)) for seen in (first, second)]
-            hands.append(Both(kind, scene, features[row], *errors, real=kind.startswith(REAL)))
+            hands.append(Both(kind, scene, features[row], *errors))
     return hands
 
 

@@ -255,8 +255,8 @@ def test_real_hands_count_as_much_as_all_others():
     """Of the same features, one real hand weighs what all rendered ones together do that say the opposite."""
     features = np.eye(len(SECOND_FEATURES))[0]
     rendered = [Both("people", scene, features, 0.10, 0.11) for scene in range(30)]
-    real = Both("digits", 30, features, 0.2, 0.1, real=True)
-    assert fit_second_look.fit([*rendered, real._replace(real=False)])[0] < -0.1
+    real = Both("digits", 30, features, 0.2, 0.1)
+    assert fit_second_look.fit([*rendered, real._replace(kind="people")])[0] < -0.1
     assert fit_second_look.fit([*rendered, real])[0] == pytest.approx(0, abs=1e-6)
     gain = fit_second_look.balanced(np.array([0.1, -0.3, 0.2, -0.2]), np.array([True, True, False, False]))
     np.testing.assert_allclose(gain, [0.1, -0.3, 0.2, -0.2])

@@ -155,8 +155,14 @@ def _hand(args: CalibrateArgs, source: str) -> int:
     else:
         hands, (camera, camera_source) = _hands(source, estimator, known)
         said = [distance_m] * len(hands)
-        spreads = {"focal_spread": focal_spread(camera_source), "length_spread": length_spread("assumed")}
-        fit = fit_tape(hands, camera, said, DEFAULT_HAND_LENGTH_M, **spreads)
+        fit = fit_tape(
+            hands,
+            camera,
+            said,
+            DEFAULT_HAND_LENGTH_M,
+            focal_spread=focal_spread(camera_source),
+            length_spread=length_spread("assumed"),
+        )
         camera, length, scale_source = zoomed(camera, fit.focal_scale), fit.hand_length_m, "distance"
         lengths = [length * distance_m / value for value in ranges(hands, camera, length)]
     if line := camera_assumption(camera_source):

@@ -169,8 +169,9 @@ class EfficientNet(nn.Module):
         for level, (factor, outputs, kernel, stride, count) in enumerate(STAGES):
             widening = layout.first_factor if level == 1 else factor
             narrows = layout.narrows or level < len(STAGES) - 1
-            ends = {"narrows": narrows, "pads_end": layout.pads_end}
-            blocks = [InvertedResidual(inputs, outputs, widening, kernel, stride, **ends)]
+            blocks = [
+                InvertedResidual(inputs, outputs, widening, kernel, stride, narrows=narrows, pads_end=layout.pads_end)
+            ]
             blocks += [InvertedResidual(outputs, outputs, factor, kernel, 1) for _ in range(count - 1)]
             self.stages.append(nn.Sequential(*blocks))
             channels.append(outputs if narrows else factor * inputs)
