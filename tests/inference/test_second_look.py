@@ -77,17 +77,16 @@ def test_the_second_pair_counts_where_its_weights_say_so():
 
 class Two:
     """An estimator whose two pairs know the answer; the first is off by 3 pixels and has the scores that are given.
-    `seen` are the crops of either pair; what HandCheck `says` of every hand are two log-odds, None without it."""
+    `seen` are the crops of either pair."""
 
-    def __init__(self, scores=(0.5, 0.9), decision=TRUSTED, second_logit=4.0, says=(4.0, 4.0), **second_card) -> None:
+    def __init__(self, scores=(0.5, 0.9), decision=TRUSTED, second_logit=4.0, **second_card) -> None:
         self.seen: tuple[list[HandCrop], list[HandCrop]] = ([], [])
         self.hand_logits = (4.0, second_logit)
         card = make_card(hand_logit=True, second_below_score=0.8)
         card = dataclasses.replace(card, decision=dataclasses.replace(card.decision, **decision))
         plain = self.staged(0, card, scores)
         second = self.staged(1, make_card(crop_size=96, **second_card), (0.95, 0.95))
-        check = None if says is None else lambda image, joints_px: np.array([says] * len(joints_px))
-        self.estimator = HandEstimator(plain[0], card, dataclasses.replace(plain[1], second=second[1], check=check))
+        self.estimator = HandEstimator(plain[0], card, dataclasses.replace(plain[1], second=second[1]))
 
     def staged(self, pair, card, scores):
         oracle = Oracle(SAMPLE, card)
@@ -183,17 +182,15 @@ def test_a_hand_is_followed_by_the_pair_that_saw_it():
     np.testing.assert_allclose(again.left.joints_px, SAMPLE.joints_px[LEFT], atol=0.3)
 
 
-@pytest.mark.parametrize(("says", "follows"), [((4.0, 4.0), True), ((-0.1, 4.0), False), ((4.0, -0.1), False)])
-def test_hand_check_says_whether_what_the_second_pair_follows_is_still_that_hand(says, follows):
-    """A left hand; where there is no HandCheck nobody can say."""
+@pytest.mark.parametrize(("second_logit", "follows"), [(0.1, True), (-0.1, False)])
+def test_the_second_pair_says_whether_what_it_follows_is_still_a_hand(second_logit, follows):
     first = Two().estimate()
     trail = Trail((first,), first, may_rest=True)
-    assert first.left.pair == 1 and Two(says=says).estimate(trail, 1).followed == follows
-    assert not Two(says=None).estimate(trail, 1).followed
+    assert first.left.pair == 1 and Two(second_logit=second_logit).estimate(trail, 1).followed == follows
 
 
-@pytest.mark.parametrize(("says", "follows"), [((4.0, 4.0), True), ((-4.0, 4.0), False)])
-def test_a_hand_that_the_first_pair_loses_is_followed_by_the_second(says, follows):
+@pytest.mark.parametrize(("second_logit", "follows"), [(4.0, True), (-4.0, False)])
+def test_a_hand_that_the_first_pair_loses_is_followed_by_the_second(second_logit, follows):
     """Named case: the first pair sees the joints of real hands elsewhere in every frame, so that these were never
     followed. Here it is a tenth of the hand's size, and three pixels more, from where they were expected."""
     first = Two(decision=NEVER).estimate()
@@ -201,7 +198,7 @@ def test_a_hand_that_the_first_pair_loses_is_followed_by_the_second(says, follow
     size_px = np.ptp(SAMPLE.joints_px[LEFT], axis=0).max()
     moved = dataclasses.replace(first.left, joints_px=SAMPLE.joints_px[LEFT] - [0.1 * size_px, 0.0])
     first = dataclasses.replace(first, left=moved)
-    again = Two(decision=NEVER, says=says).estimate(Trail((first,), first, may_rest=True), 1)
+    again = Two(decision=NEVER, second_logit=second_logit).estimate(Trail((first,), first, may_rest=True), 1)
     assert again.followed == follows
     if follows:
         assert [hand.pair for hand in again.hands] == [1, 0]

@@ -34,7 +34,7 @@ from twohands.inference.keypoints import (
 )
 from twohands.inference.second_look import MOST_ASTRAY, doubted, knows_better, on_other_hand
 from twohands.inference.side_decision import assign_in_clip
-from twohands.inference.side_keeping import NOTHING_KNOWN, SIGNS
+from twohands.inference.side_keeping import NOTHING_KNOWN
 from twohands.inference.stages import Stages
 from twohands.inference.trail import Trail
 from twohands.inference.views import HandViewer
@@ -279,13 +279,6 @@ class HandFinder:
                 joints_px.append(merged.joints_px[np.argmax(merged.hand_logits)])
             said[rows] = self.stages.check(self.image, np.stack(joints_px))
         return said
-
-    def still_hands(self, keypoints: Keypoints) -> np.ndarray:
-        """(B,) bool: whether HandCheck takes hands for hands of their sides; none without HandCheck."""
-        if self.stages.check is None or not len(keypoints.crops):
-            return np.zeros(len(keypoints.crops), bool)
-        hand, left = self.stages.check(self.image, keypoints.joints_px).T
-        return (hand > 0) & (np.array(SIGNS)[keypoints.sides] * left > 0)
 
     def assigned(self, found: Detection, assignment: Assignment, views: CandidateViews) -> tuple[Detection, np.ndarray]:
         """The hands that an assignment makes of candidates, with HandSegNet's scores for absent ones; and (B,) bool,

@@ -47,7 +47,7 @@ def followed_hands(finder: HandFinder, trail: Trail, time: float) -> Detection |
 
     Returns:
         None where HandSegNet is to look: no hand can be followed (`followed_boxes`); or one is less likely a hand than
-        none, by the card's last decision where the first pose networks see it, by HandCheck where the second ones do;
+        none, by the card's last decision where the first pose networks see it, by what the second ones themselves say;
         or it is not where it was expected (`FARTHEST`). Those that saw a hand see it again; where the first lose it,
         the second are asked.
     """
@@ -62,10 +62,9 @@ def followed_hands(finder: HandFinder, trail: Trail, time: float) -> Detection |
     found, lost = _first_judged(finder, trail, seen, expected_px)
     found = finder.seen_better(found, boxes.boxes_px, expected_px, lost=lost)
     by_second = found.keypoints.pairs == 1
-    far = strayed(expected_px[present], found.keypoints.joints_px) > FARTHEST[1]
-    if np.where(by_second, far, lost).any():
-        return None
-    if not finder.still_hands(found.keypoints.rows(np.flatnonzero(by_second))).all():
+    gone = found.keypoints.hand_logits < 0
+    gone |= strayed(expected_px[present], found.keypoints.joints_px) > FARTHEST[1]
+    if np.where(by_second, gone, lost).any():
         return None
     return found._replace(followed=True)
 
