@@ -9,10 +9,9 @@ networks see them. All else is nothing: what these networks take for hands in th
 without hands, and other places there. The encoder stays as published, so every crop is looked at once, and kept in the
 cache as what the layer sees. Every cache is of one process, with a seed of its own; `--look MINUTES` fills it.
 
-Fits logistic regressions, on whether there is a hand and whose: so much of the published layer as fits, and something
-of its own with a quadratic penalty. Photographed hands count as much as rendered ones, however many there are. Prints
-how often it is right, by kind of crop, of pictures held out, the published layer's own figures beside it; writes
-`hand_check.onnx` and the card's section of it into the folder of the preset's second pose networks.
+Fits a logistic regression with a quadratic penalty, on whether there is a hand; prints how often it is right, by kind
+of crop, of pictures held out; writes `hand_check.onnx` and the card's section of it into the folder
+of the preset's second pose networks.
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ from twohands.inference.detection import HandFinder
 from twohands.inference.engine import OpenVinoNetwork
 from twohands.inference.estimator import HandEstimator
 from twohands.inference.weights import HAND_CHECK, read_card, second_folder, write_card
-from twohands.models.efficientnet import load_hand_layers, load_published
+from twohands.models.efficientnet import load_published
 from twohands.models.hand_check import HandCheck, HandCheckConfig
 from twohands.skeleton import LEFT, N_JOINTS, RIGHT
 from twohands.training.batches import with_parts
@@ -54,7 +53,7 @@ from twohands.training.sources import backgrounds_of, open_source
 from twohands.training.transforms import PhotometricConfig, jitter_colours
 from twohands.types import HandSample
 
-MARGIN: Final = 1.5
+MARGIN: Final = 1.4
 """Side of a crop over the larger side of the hand's box: hands are as large then as those that the encoder has seen."""
 NOTHING: Final = -1
 """Beside LEFT and RIGHT, what a crop shows."""
@@ -89,12 +88,10 @@ alike in crops held out."""
 
 
 class Look(NamedTuple):
-    """A crop: its number of picture, kind, whether the picture's hands are photographed, what it shows, and what the
-    layer sees of it, (1152,)."""
+    """A crop: its number of picture, kind, what it shows, and what the layer sees of it, (1152,)."""
 
     picture: int
     kind: str
-    real: bool
     shown: int
     features: np.ndarray
 
@@ -109,14 +106,13 @@ class Looker:
 
     def looks(self, sample: HandSample, number: int, rng: np.random.Generator) -> Iterator[Look]:
         """All crops of one picture."""
-        real = sample.confidence is not None
         for kind, shown, joints_px in self.places(sample, rng):
             if np.ptp(joints_px, axis=0).max() < SMALLEST_PX:
                 continue
             image = warp_image(sample.image, upright_crop(joints_px, size=self.size, margin=MARGIN), self.size)
             if rng.random() < CHANGED:
                 image = jitter_colours(image, COLOURS, rng)
-            yield Look(number, kind, real, shown, self.encode(network_input(image[None]))[0].astype(np.float16))
+            yield Look(number, kind, shown, self.encode(network_input(image[None]))[0].astype(np.float16))
 
     def places(self, sample: HandSample, rng: np.random.Generator) -> Iterator[tuple[str, int, np.ndarray]]:
         """Kind, what is there, and joints (21, 2) of every place of a picture that is looked at."""
@@ -163,9 +159,8 @@ def main() -> int:
             save(options.cache[0], look_around(options, network))
             return 0
         looks = load(options.cache)
-        load_hand_layers(network.head, options.encoder)
-        print_held_out(looks, network.head)
-        weights, biases = fit(looks, network.head)
+        weights, biases = fit(looks)
+        print_held_out(looks)
         if not options.dry_run:
             write(options.preset, network, weights, biases, note | {"crops": counted(looks)})
     except TwoHandsError as error:
@@ -180,7 +175,7 @@ def look_around(options: argparse.Namespace, network: HandCheck) -> list[Look]:
         raise InputError("--look needs --frames, --digits and --backgrounds")
     cv2.setNumThreads(1)
     behind = folder_list(options.backgrounds)
-    names = ",".join(str(folder) for folder in (*options.frames, options.digits, options.digits, options.digits))
+    names = ",".join(str(folder) for folder in (*options.frames, options.digits, options.digits))
     shown = DataConfig(source=names, backgrounds=behind, procedural=0.15, clutter=0.3, remixed=0.3, empty=0.2)
     source, _ = open_source(replace(shown, validation=0, variants=20, seed=options.seed))
     empty = backgrounds_of(DataConfig(backgrounds=behind, procedural=0.0, clutter=0.2, remixed=0.3))
@@ -226,66 +221,47 @@ def anywhere(image_size: tuple[int, int], rng: np.random.Generator) -> np.ndarra
     return rng.uniform(0, 1, 2) * image_size[::-1] + size * rng.uniform(-0.5, 0.5, (N_JOINTS, 2))
 
 
-def fit(looks: Looks, published: nn.Linear) -> tuple[np.ndarray, np.ndarray]:
+def fit(looks: Looks) -> tuple[np.ndarray, np.ndarray]:
     """Weights (2, 1152) and biases (2,) of the layer: whether it is a hand, where hands and other things count alike,
-    and photographed hands as much as rendered ones, however many there are, and whether a hand is a left one."""
+    however many there are, and whether a hand is a left one."""
     hands = looks.shown != NOTHING
+    shares = np.where(hands, 0.5 / hands.mean(), 0.5 / (1 - hands.mean()))
     of_hands = looks.rows(hands)
-    shares, among_hands = balanced(hands), balanced(of_hands.real)
-    shares[hands] *= among_hands
-    theirs = published.weight.detach().numpy()
     found = (
-        regression(looks.features, theirs[0], hands, shares),
-        regression(of_hands.features, theirs[1], of_hands.shown == LEFT, among_hands),
+        regression(looks.features, hands, shares),
+        regression(of_hands.features, of_hands.shown == LEFT, np.ones(len(of_hands.shown))),
     )
     weights, biases = zip(*found, strict=True)
     return np.stack(weights), np.array(biases)
 
 
-def balanced(groups: np.ndarray) -> np.ndarray:
-    """(N,) how much each of N counts, 1 on average, so that every group (N,) counts as much as any other."""
-    _, number, counts = np.unique(groups, return_inverse=True, return_counts=True)
-    return len(groups) / (len(counts) * counts[number])
-
-
-def regression(
-    features: np.ndarray,
-    published: np.ndarray,
-    true: np.ndarray,
-    counts: np.ndarray,
-    penalty: float = PENALTY,
-) -> tuple[np.ndarray, float]:
+def regression(features: np.ndarray, true: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, float]:
     """Weights (F,) and bias of a logistic regression.
 
     Args:
         features: (N, F).
-        published: (F,) weights of which it takes what fits.
         true: (N,) bool.
         counts: (N,) how much each counts.
-        penalty: as `PENALTY`, of what is not taken.
     """
     middle, spread = features.mean(axis=0), features.std(axis=0) + 0.05
     scaled, sign, share = (features - middle) / spread, np.where(true, 1.0, -1.0), counts / counts.sum()
-    given = scaled @ (published * spread)
 
     def cost(values: np.ndarray) -> tuple[float, np.ndarray]:
-        weights, taken, bias = values[:-2], values[-2], values[-1]
-        margin = sign * (scaled @ weights.astype(np.float32) + taken * given + bias)
+        weights, bias = values[:-1], values[-1]
+        margin = sign * (scaled @ weights.astype(np.float32) + bias)
         slope = -share * sign * expit(-margin)
-        loss = share @ np.logaddexp(0, -margin) + penalty * weights @ weights
-        pull = slope.astype(np.float32) @ scaled + 2 * penalty * weights
-        return float(loss), np.concatenate([pull, [slope @ given, slope.sum()]])
+        loss = share @ np.logaddexp(0, -margin) + PENALTY * weights @ weights
+        return float(loss), np.append(slope.astype(np.float32) @ scaled + 2 * PENALTY * weights, slope.sum())
 
-    found = minimize(cost, np.zeros(features.shape[1] + 2), jac=True, method="L-BFGS-B", options={"maxiter": 500}).x
-    weights = found[:-2] / spread + found[-2] * published
+    found = minimize(cost, np.zeros(features.shape[1] + 1), jac=True, method="L-BFGS-B", options={"maxiter": 500}).x
+    weights = found[:-1] / spread
     return weights, float(found[-1] - weights @ middle)
 
 
 class Looks(NamedTuple):
-    """All crops: kind, real, shown and picture (N,), as in `Look`, features (N, 1152) float32."""
+    """All crops: kind (N,), shown (N,), picture (N,), features (N, 1152) float32."""
 
     kind: np.ndarray
-    real: np.ndarray
     shown: np.ndarray
     picture: np.ndarray
     features: np.ndarray
@@ -295,22 +271,19 @@ class Looks(NamedTuple):
         return Looks(*(values[chosen] for values in self))
 
 
-def print_held_out(looks: Looks, published: nn.Linear) -> None:
-    """How often a layer that is fitted to the other pictures is right about those held out, and the published one."""
+def print_held_out(looks: Looks) -> None:
+    """How often a layer that is fitted to the other pictures is right about those held out."""
     out = np.random.default_rng(0).random(looks.picture.max() + 1)[looks.picture] < HELD_OUT
+    weights, biases = fit(looks.rows(~out))
     kept = looks.rows(out)
-    theirs = published.weight.detach().numpy(), published.bias.detach().numpy()
-    for name, (weights, biases) in {"fitted": fit(looks.rows(~out), published), "published": theirs}.items():
-        said, left = (kept.features @ weights.T + biases).T
-        right = (left > 0) == (kept.shown == LEFT)
-        print(f"{name + ', held out':24s} {'hands':>6s} {'passed':>7s} {'side':>7s} {'others':>7s} {'refused':>8s}")
-        for kind, real in sorted({*zip(kept.kind.tolist(), kept.real.tolist(), strict=True)}):
-            one = (kept.kind == kind) & (kept.real == real)
-            hands, others = one & (kept.shown != NOTHING), one & (kept.shown == NOTHING)
-            parts = (said[hands] > 0, right[hands], said[others] < 0)
-            passed, sides, refused = (f"{100 * part.mean():.1f} %" if len(part) else "-" for part in parts)
-            row = f"{kind}, photographed" if real else kind
-            print(f"{row:24s} {hands.sum():6d} {passed:>7s} {sides:>7s} {others.sum():7d} {refused:>8s}")
+    said, left = (kept.features @ weights.T + biases).T
+    right = (left > 0) == (kept.shown == LEFT)
+    print(f"{'crops held out':16s} {'hands':>6s} {'passed':>7s} {'side':>7s} {'others':>7s} {'refused':>8s}")
+    for kind in dict.fromkeys(kept.kind.tolist()):
+        hands, others = ((kept.kind == kind) & (kept.shown != NOTHING), (kept.kind == kind) & (kept.shown == NOTHING))
+        parts = (said[hands] > 0, right[hands], said[others] < 0)
+        passed, sides, refused = (f"{100 * part.mean():.1f} %" if len(part) else "-" for part in parts)
+        print(f"{kind:16s} {hands.sum():6d} {passed:>7s} {sides:>7s} {others.sum():7d} {refused:>8s}")
 
 
 def counted(looks: Looks) -> dict[str, int]:
@@ -322,7 +295,7 @@ def counted(looks: Looks) -> dict[str, int]:
 def save(path: Path, looks: Sequence[Look]) -> None:
     """Writes a cache."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    names = Look._fields
+    names = ("picture", "kind", "shown", "features")
     np.savez(path, **{name: np.array([getattr(look, name) for look in looks]) for name in names})  # type: ignore[arg-type]
 
 
@@ -336,7 +309,7 @@ def load(paths: Sequence[Path]) -> Looks:
     for path in paths:
         try:
             with np.load(path) as file:
-                part = Looks(file["kind"], file["real"], file["shown"], file["picture"] + pictures, file["features"])
+                part = Looks(file["kind"], file["shown"], file["picture"] + pictures, file["features"])
         except (OSError, ValueError, KeyError) as error:
             raise InputError(f"{path} is no cache of crops: {error}") from error
         parts.append(part._replace(features=part.features.astype(np.float32)))

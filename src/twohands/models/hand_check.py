@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from torch import Tensor, nn
 
 from twohands.errors import InputError
-from twohands.models.efficientnet import HANDS, EfficientNet
+from twohands.models.efficientnet import MOVED_HANDS, EfficientNet
 from twohands.models.pose_net_2d import CROP_STEP
 
 
@@ -20,7 +20,7 @@ from twohands.models.pose_net_2d import CROP_STEP
 class HandCheckConfig:
     """Shape of HandCheck."""
 
-    crop_size: int = 224
+    crop_size: int = 160
     """Rows and columns of the input crop, a multiple of `CROP_STEP`."""
 
     def __post_init__(self) -> None:
@@ -34,7 +34,7 @@ class HandCheck(nn.Module):
     def __init__(self, config: HandCheckConfig) -> None:
         super().__init__()
         self.config = config
-        self.encoder = EfficientNet(HANDS)
+        self.encoder = EfficientNet(MOVED_HANDS)
         self.head = nn.Linear(self.encoder.channels[-1], 2)
 
     def forward(self, x: Tensor) -> Tensor:
