@@ -55,6 +55,8 @@ class Detection(NamedTuple):
         keypoints: of those that are present, in the order LEFT, RIGHT.
         side_logits: (2,) log-odds that a hand is of its side and not of the other; None where nobody has said.
         followed: whether HandSegNet rested; the masks are then those of an earlier frame.
+        first: the same hands as the first pose networks see them, where the second ones see some; None where these see
+            all.
     """
 
     masks: np.ndarray
@@ -62,6 +64,7 @@ class Detection(NamedTuple):
     keypoints: Keypoints
     side_logits: np.ndarray | None = None
     followed: bool = False
+    first: Keypoints | None = None
 
 
 class CandidateViews(NamedTuple):
@@ -162,7 +165,8 @@ class HandFinder:
         boxes = found.boxes.boxes_px.copy()
         boxes[sides[better]] = boxes_px[sides[better]]
         keypoints = first.replaced(rows[better], second.rows(better))
-        seen = found._replace(keypoints=keypoints, boxes=replace(found.boxes, boxes_px=boxes))
+        behind = first if found.first is None else found.first
+        seen = found._replace(keypoints=keypoints, boxes=replace(found.boxes, boxes_px=boxes), first=behind)
         return self.recropped(seen) if recrop else seen
 
     def both_looked(

@@ -16,8 +16,8 @@ from twohands.geometry.segmentation import HandBoxes, certain_masks, parted_mask
 from twohands.inference.detection import Detection, HandFinder
 from twohands.inference.engine import Networks, load_networks
 from twohands.inference.following import followed_hands
-from twohands.inference.keypoints import NO_KEYPOINTS, given_heatmaps
-from twohands.inference.placement import hand_poses, refine
+from twohands.inference.keypoints import NO_KEYPOINTS, Keypoints, given_heatmaps
+from twohands.inference.placement import PlacedHands, hand_poses, refine
 from twohands.inference.segmenter import HandMaps
 from twohands.inference.stages import NO_TRUTH, Stages, StageTruth, check_picture
 from twohands.inference.trail import Trail
@@ -188,6 +188,22 @@ class HandEstimator:
         placed = self.stages.place(canonical, keypoints.joints_px, keypoints.joint_scores, finder.camera, lengths_m)
         sigmas_m = None
         if estimated:
-            refined = refine(self.card.placement, canonical, keypoints, finder.camera, lengths_m, placed)
-            canonical, placed, sigmas_m = refined
+            hands = PlacedHands(canonical, keypoints, placed)
+            ranged = self._ranged(hands, found.first, finder.camera, lengths_m)
+            canonical, placed, sigmas_m = refine(self.card.placement, hands, ranged, finder.camera, lengths_m)
         return hand_poses(finder.in_picture(boxes), keypoints, canonical, placed, found.side_logits, sigmas_m)
+
+    def _ranged(
+        self, hands: PlacedHands, first: Keypoints | None, camera: PinholeCamera, lengths_m: np.ndarray
+    ) -> PlacedHands:
+        """Hands as the first pose networks see them, `Detection.first`, where the joints are those of the second ones:
+        whose joints are nearer in the picture is another question than whose ranges are."""
+        rows = np.flatnonzero(hands.keypoints.pairs)
+        if first is None or not len(rows):
+            return hands
+        keypoints = first.rows(rows)
+        canonical = lifted(self.stages, keypoints, camera)
+        placed = self.stages.place(canonical, keypoints.joints_px, keypoints.joint_scores, camera, lengths_m[rows])
+        known = np.flatnonzero(placed.valid)
+        chosen = PlacedHands(canonical, keypoints, placed).rows(known)
+        return hands.replaced(rows[known], chosen)

@@ -16,7 +16,7 @@ from twohands.geometry.boxes import box_in_picture, box_iou
 from twohands.geometry.segmentation import UNCERTAIN, HandBoxes, log_odds
 from twohands.inference.detection import Detection, HandFinder
 from twohands.inference.handedness import Assignment
-from twohands.inference.keypoints import in_sight, joint_boxes
+from twohands.inference.keypoints import Keypoints, in_sight, joint_boxes
 from twohands.inference.leaving import LONGEST_STEP
 from twohands.inference.trail import Trail
 from twohands.inference.weights import WeightsCard
@@ -57,8 +57,15 @@ def followed_hands(finder: HandFinder, trail: Trail, time: float) -> Detection |
         return None
     masks, present = moved_masks(trail, expected_px), np.flatnonzero(boxes.present)
     pairs = _pairs(trail.last[-1])[present]
-    crops = finder.joint_crops(masks, boxes.boxes_px, expected_px[present], present, pairs)
-    seen = finder.recropped(Detection(masks, boxes, finder.looked(masks, boxes.boxes_px, crops)))
+
+    def looked(rows: np.ndarray, pair: int) -> Keypoints:
+        sides, pairs = present[rows], np.full(len(rows), pair)
+        crops = finder.joint_crops(masks, boxes.boxes_px, expected_px[sides], sides, pairs)
+        return finder.looked(masks, boxes.boxes_px, crops)
+
+    first, by_second = looked(np.arange(len(present)), 0), np.flatnonzero(pairs)
+    keypoints = first.replaced(by_second, looked(by_second, 1)) if len(by_second) else first
+    seen = finder.recropped(Detection(masks, boxes, keypoints, first=first if len(by_second) else None))
     found, lost = _first_judged(finder, trail, seen, expected_px)
     found = finder.seen_better(found, boxes.boxes_px, expected_px, lost=lost)
     by_second = found.keypoints.pairs == 1

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
-from typing import Final
+from dataclasses import fields, replace
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -74,36 +74,59 @@ def place(
     )
 
 
+class PlacedHands(NamedTuple):
+    """B hands as one pair of pose networks sees them: canonical joints (B, 21, 3), and where `place` puts them."""
+
+    canonical: np.ndarray
+    keypoints: Keypoints
+    placed: GlobalPose
+
+    def rows(self, chosen: np.ndarray) -> PlacedHands:
+        """Some of the hands."""
+        placed = GlobalPose(*(np.asarray(getattr(self.placed, one.name))[chosen] for one in fields(GlobalPose)))
+        return PlacedHands(self.canonical[chosen], self.keypoints.rows(chosen), placed)
+
+    def replaced(self, rows: np.ndarray, other: PlacedHands) -> PlacedHands:
+        """The same, with other hands in some rows."""
+        order = np.arange(len(self.canonical))
+        order[rows] = len(order) + np.arange(len(rows))
+        names, places = [one.name for one in fields(GlobalPose)], (self.placed, other.placed)
+        placed = GlobalPose(*(np.concatenate([getattr(one, name) for one in places])[order] for name in names))
+        canonical = np.concatenate([self.canonical, other.canonical])[order]
+        return PlacedHands(canonical, self.keypoints.replaced(rows, other.keypoints), placed)
+
+
 def refine(
-    config: PlacementConfig,
-    canonical: np.ndarray,
-    keypoints: Keypoints,
-    camera: PinholeCamera,
-    lengths_m: np.ndarray,
-    placed: GlobalPose,
+    config: PlacementConfig, hands: PlacedHands, ranged: PlacedHands, camera: PinholeCamera, lengths_m: np.ndarray
 ) -> tuple[np.ndarray, GlobalPose, np.ndarray]:
     """The joints pulled to their lines of sight (`pull_to_rays`), and all of it at the likely range
     (`posterior_ranges`).
 
     Args:
         config: how far.
-        canonical: (B, 21, 3).
-        keypoints, camera, lengths_m: as for `place`.
-        placed: the hands as `place` puts them.
+        hands: whose joints count.
+        ranged: the same hands, as those pose networks see them whose ranges count.
+        camera, lengths_m: as for `place`.
 
     Returns:
         Canonical joints (B, 21, 3), the hands in metres, and the standard deviations of their ranges (B,) in metres,
         NaN where they are not known.
     """
-    share = config.ray_share * keypoints.joint_scores
-    canonical = pull_to_rays(canonical, keypoints.joints_px, camera, lengths_m, placed, share)
-    radius_m = posterior_ranges(placed.radius_m, keypoints.joint_scores, config)
-    misfit = palm_misfit(canonical, keypoints.joints_px, camera, lengths_m, placed)
-    sigma = range_sigma(keypoints.joint_scores, misfit, palm_span(canonical), config)
+    scores, pulled = ranged.keypoints.joint_scores, _pulled(config, ranged, camera, lengths_m)
+    radius_m = posterior_ranges(ranged.placed.radius_m, scores, config)
+    misfit = palm_misfit(pulled, ranged.keypoints.joints_px, camera, lengths_m, ranged.placed)
+    sigma = range_sigma(scores, misfit, palm_span(pulled), config)
+    placed = replace(hands.placed, radius_m=ranged.placed.radius_m)
+    canonical = pulled if hands is ranged else _pulled(config, hands._replace(placed=placed), camera, lengths_m)
     joints_m = camera_from_canonical(canonical, lengths_m, radius_m, placed.theta, placed.phi)
     finite = np.isfinite(joints_m).all(axis=(1, 2))
     found = replace(placed, joints_m=joints_m, radius_m=radius_m, valid=placed.valid & finite)
     return canonical, found, sigma * radius_m
+
+
+def _pulled(config: PlacementConfig, hands: PlacedHands, camera: PinholeCamera, lengths_m: np.ndarray) -> np.ndarray:
+    share = config.ray_share * hands.keypoints.joint_scores
+    return pull_to_rays(hands.canonical, hands.keypoints.joints_px, camera, lengths_m, hands.placed, share)
 
 
 def palm_misfit(
