@@ -15,14 +15,15 @@ from twohands.inference.decision import SECOND_FEATURES, DecisionConfig
 from twohands.inference.detection import Detection, HandFinder
 from twohands.inference.estimator import HandEstimator
 from twohands.inference.keypoints import Keypoints
-from twohands.inference.second_look import doubted, knows_better, on_other_hand, second_features
+from twohands.inference.second_look import knows_better, on_other_hand, second_features
 from twohands.inference.trail import Trail
 from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
 from twohands.types import HandCrop
 
 SAMPLE = drawn_hands(7)
 LENGTH_M = 0.1
-TRUSTED = {"second": {"second": 1.0}}
+TRUSTED = {"second": {"second": 1.8, "first_doubt": 1.0}}
+"""Where the first pair's joints have a mean score below .84."""
 NEVER = {"second": {"second": -1.0}}
 
 
@@ -50,11 +51,14 @@ def test_what_speaks_for_the_second_pair_by_hand():
             "second_doubt": second,
             "first_pose": 2,
             "second_pose": -6,  # log-odds are limited
+            "second_passed": 0,
             "apart": apart,
             "first_doubt_apart": first * apart,
             "second_doubt_apart": second * apart,
         }
     )
+    (surer,) = second_features(keypoints([0.9], [2.0]), keypoints([0.5], [5.0]))
+    assert surer[SECOND_FEATURES.index("second_passed")] == 2, "3 is enough"
 
 
 @pytest.mark.parametrize("step", [1, 4])
@@ -72,7 +76,6 @@ def test_the_second_pair_counts_where_its_weights_say_so():
     config = DecisionConfig(second={"first_doubt": 1.0, "second_doubt": -1.0})
     assert knows_better(first, second, config).tolist() == [False, True]
     assert not knows_better(first, second, DecisionConfig()).any(), "without weights the first pair counts"
-    assert doubted(first, 0.8).tolist() == [False, True]
 
 
 class Two:
@@ -83,7 +86,7 @@ class Two:
         self.seen: tuple[list[HandCrop], list[HandCrop]] = ([], [])
         self.shrinks = shrinks
         self.hand_logits = (4.0, second_logit)
-        card = make_card(hand_logit=True, second_below_score=0.8)
+        card = make_card(hand_logit=True)
         card = dataclasses.replace(card, decision=dataclasses.replace(card.decision, **decision))
         plain = self.staged(0, card, scores)
         second = self.staged(1, make_card(crop_size=96, **second_card), (0.95, 0.95))
@@ -121,10 +124,10 @@ class Two:
         return self.estimator.estimate(SAMPLE.image, SAMPLE.camera, LENGTH_M, index=index, previous=previous)
 
 
-def test_the_second_pair_looks_where_the_first_doubts_and_counts_by_the_weights():
+def test_both_pairs_look_and_the_weights_say_which_counts():
     two = Two()
     pose = two.estimate()
-    assert {crop.side for crop in two.seen[0]} == {LEFT, RIGHT} and {crop.side for crop in two.seen[1]} == {LEFT}
+    assert all({crop.side for crop in crops} == {LEFT, RIGHT} for crops in two.seen)
     assert {crop.image.shape for crop in two.seen[1]} == {(96, 96, 3)}, "crops of its own size"
     for side, off_px in ((LEFT, 0.0), (RIGHT, 3.0)):
         hand = pose.hands[side]
@@ -137,9 +140,6 @@ def test_the_second_pair_looks_where_the_first_doubts_and_counts_by_the_weights(
     unasked = Two(decision={"second": {}})
     np.testing.assert_allclose(unasked.estimate().left.joints_px, ignored.estimate().left.joints_px, atol=0.3)
     assert not unasked.seen[1], "without weights it would never count"
-    sure = Two(scores=(0.9, 0.9))
-    sure.estimate()
-    assert not sure.seen[1], "no doubt, no second look"
 
 
 def test_where_a_hand_is_on_the_mask_of_the_other_the_first_pair_is_believed():
@@ -165,8 +165,9 @@ def test_the_second_pair_has_its_own_crops_with_the_fingers_up():
     """The left hand leans by 49 degrees."""
     two = Two(upright_within_deg=25.0)
     pose = two.estimate()
-    assert [bool(crop.roll_deg) for crop in two.seen[1]] == [False, True] and not any(c.roll_deg for c in two.seen[0])
-    in_crop = apply_homography(np.linalg.inv(two.seen[1][1].image_from_crop), SAMPLE.joints_px[LEFT])
+    rolled = [crop for crop in two.seen[1] if crop.roll_deg]
+    assert [crop.side for crop in rolled] == [LEFT] and not any(crop.roll_deg for crop in two.seen[0])
+    in_crop = apply_homography(np.linalg.inv(rolled[0].image_from_crop), SAMPLE.joints_px[LEFT])
     along = in_crop[ROOT] - in_crop[WRIST]
     assert abs(np.degrees(np.arctan2(along[0], -along[1]))) < 15
     np.testing.assert_allclose(pose.left.joints_px, SAMPLE.joints_px[LEFT], atol=0.3)

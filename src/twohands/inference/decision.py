@@ -60,8 +60,6 @@ class ViewConfig:
     upright_within_deg: float = 180.0
     """How far from up a hand's fingers may point before PoseNet2D sees it again, as a camera does that is rolled so
     that they point up; and every further crop of it is rolled so. 180: none ever is."""
-    second_below_score: float = 0.95
-    """Mean score of its joints below which the second pose networks, of a preset that has some, see a hand as well."""
     turns_deg: tuple[float, ...] = ()
     """Turns of which a doubtful hand is seen in the one that brings its fingers nearest to up; the view with the surer
     joints counts."""
@@ -121,8 +119,8 @@ LAST_FEATURES: Final = (
 
 
 SECOND_FEATURES: Final = (
-    *("second", "first_doubt", "second_doubt", "first_pose", "second_pose", "apart"),
-    *("first_doubt_apart", "second_doubt_apart"),
+    *("second", "first_doubt", "second_doubt", "first_pose", "second_pose", "second_passed"),
+    *("apart", "first_doubt_apart", "second_doubt_apart"),
 )
 """What says which pair of pose networks knows a hand; `second_look.second_features` says what each is."""
 

@@ -32,7 +32,7 @@ from twohands.inference.keypoints import (
     off_upright_deg,
     rolled_hand_box,
 )
-from twohands.inference.second_look import MOST_ASTRAY, doubted, knows_better, on_other_hand
+from twohands.inference.second_look import MOST_ASTRAY, knows_better, on_other_hand
 from twohands.inference.side_decision import assign_in_clip
 from twohands.inference.side_keeping import NOTHING_KNOWN
 from twohands.inference.stages import Stages
@@ -137,29 +137,29 @@ class HandFinder:
         recrop: bool = True,
         lost: np.ndarray | None = None,
     ) -> Detection:
-        """Hands that the first pose networks doubt, seen by the second ones as well: their joints count where they know
-        a hand better, and their boxes are those where they were looked for. Which hands are there, and whose, stays
-        what the first ones said. Of a hand that is seen where the mask of the other one is (`MOST_ASTRAY`) they would
-        see the nearer one twice.
+        """Hands of the first pose networks, seen by the second ones as well: their joints count where they know a hand
+        better, and their boxes are those where they were looked for. Which hands are there, and whose, stays what the
+        first ones said. Of a hand that is seen where the mask of the other one is (`MOST_ASTRAY`) they would see the
+        nearer one twice.
 
         Args:
             found: hands that are decided.
             boxes_px: (2, 4) of LEFT and RIGHT, where they are looked for.
             joints_px: (2, 21, 2) where their joints are expected; None where nothing is known.
             recrop: whether they are `recropped` then.
-            lost: (B,) bool, hands of which the second ones are believed wherever they are asked; None for none.
+            lost: (B,) bool, hands of which the second ones are believed, and no others asked; None where they are asked
+                of all.
         """
         first, config = found.keypoints, self.card.decision
         if self.stages.second is None or not config.second:
             return found
-        rows = np.flatnonzero((first.pairs == 0) & doubted(first, self.card.views.second_below_score))
+        rows = np.flatnonzero((first.pairs == 0) & (True if lost is None else lost))
         rows = rows[on_other_hand(first.rows(rows), found.masks, self.size) <= MOST_ASTRAY]
         if not len(rows):
             return found
         sides = first.sides[rows]
         second = self._second(found.masks, boxes_px, sides, None if joints_px is None else joints_px[sides])
-        better = knows_better(first.rows(rows), second, config) | (False if lost is None else lost[rows])
-        better = np.flatnonzero(better)
+        better = np.flatnonzero(knows_better(first.rows(rows), second, config) | (lost is not None))
         if not len(better):
             return found
         boxes = found.boxes.boxes_px.copy()

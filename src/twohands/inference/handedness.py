@@ -34,8 +34,9 @@ LOGIT_LIMIT: Final = 6.0
 """Log-odds are limited to this size as features: a network may be sure and wrong."""
 UNCHECKED: Final = np.full(2, np.nan)
 """HandCheck's log-odds of two hands at which it did not look."""
-_PASSED: Final = 3.0
-"""HandCheck's log-odds from which on a hand is one, and no more of it is needed."""
+PASSED: Final = 3.0
+"""Log-odds from which on a hand is one, by what has seen real hands: HandCheck, which needs no more, and the published
+layer of the second pose networks."""
 _USUAL_SCORE: Final = 0.8
 """Joint scores are counted from here; the weight of "hand" makes up for any other value."""
 
@@ -236,7 +237,7 @@ def last_features(look: LastLook) -> np.ndarray:
             features["size"] += _log_size(look.size[side])
             features["swapped"] += float(look.source[side] != side)
             unchecked = bool(np.isnan(look.check[side]))
-            features["check_short"] += 0.0 if unchecked else min(0.0, _limited(look.check[side]) - _PASSED)
+            features["check_short"] += 0.0 if unchecked else min(0.0, _limited(look.check[side]) - PASSED)
             features["check_unseen"] += float(unchecked)
         if len(hands) == 2:
             features["both"], features["both_near"] = 1.0, _nearness(look.palm_distance)

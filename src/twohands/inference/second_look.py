@@ -1,10 +1,10 @@
 """Which of two pairs of pose networks knows a hand.
 
 Ours. Networks that have learnt from renderings alone place the joints of rendered hands best; networks on an encoder
-that has seen real hands know those of people better. A preset may have both: where the first pair doubts, the second
-looks at the hand as well, and a logistic model whose weights the card holds says whose joints count. Which hands are
-there, and whose, the first pair has said before: what the two say of that is not to be compared. Features in, decisions
-out; scripts/fit_second_look.py fits the weights.
+that has seen real hands know those of people better. A preset may have both: the second pair looks at every hand as
+well, and a logistic model whose weights the card holds says whose joints count. Which hands are there, and whose, the
+first pair has said before: what the two say of that is not to be compared. Features in, decisions out;
+scripts/fit_second_look.py fits the weights.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from twohands.geometry.boxes import inside_picture
 from twohands.geometry.segmentation import UNCERTAIN
 from twohands.inference.decision import SECOND_FEATURES, DecisionConfig
-from twohands.inference.handedness import LOGIT_LIMIT, weight_vector
+from twohands.inference.handedness import LOGIT_LIMIT, PASSED, weight_vector
 from twohands.inference.keypoints import Keypoints
 
 MOST_ASTRAY: Final = 0.2
@@ -26,11 +26,6 @@ _LEAST_DOUBT: Final = 0.01
 """Added to what the mean score of a hand's joints lacks, before its logarithm is taken."""
 _LEAST_APART: Final = 0.02
 """The same of how far the two pairs see the joints apart, in sizes of the hand."""
-
-
-def doubted(keypoints: Keypoints, below_score: float) -> np.ndarray:
-    """(B,) bool: the hands whose joints have a lower mean score."""
-    return keypoints.joint_scores.mean(axis=-1) < below_score
 
 
 def on_other_hand(keypoints: Keypoints, masks: np.ndarray, image_size: tuple[int, int]) -> np.ndarray:
@@ -61,15 +56,16 @@ def second_features(first: Keypoints, second: Keypoints) -> np.ndarray:
 
     Returns:
         (B, F) values of `SECOND_FEATURES`: 1; the logarithm of what the mean scores of the joints lack, of either; the
-        log-odds of a hand, of either; the logarithm of the mean distance of the joints, in sizes of the hand; and its
-        products with the second and third.
+        log-odds of a hand, of either; how far the second's exceed `PASSED`; the logarithm of the mean distance of the
+        joints, in sizes of the hand; and its products with the second and third.
     """
     size_px = np.maximum(np.ptp(first.joints_px, axis=1).max(axis=-1), 1e-9)
     apart = np.linalg.norm(first.joints_px - second.joints_px, axis=-1).mean(axis=-1) / size_px
     apart = np.log(_LEAST_APART + np.minimum(apart, 1.0))
     doubts = [np.log(_LEAST_DOUBT + 1 - seen.joint_scores.mean(axis=-1)) for seen in (first, second)]
     poses = [np.clip(seen.hand_logits, -LOGIT_LIMIT, LOGIT_LIMIT) for seen in (first, second)]
-    values = [np.ones(len(apart)), *doubts, *poses, apart, doubts[0] * apart, doubts[1] * apart]
+    passed = np.maximum(poses[1] - PASSED, 0.0)
+    values = [np.ones(len(apart)), *doubts, *poses, passed, apart, doubts[0] * apart, doubts[1] * apart]
     return np.stack(values, axis=-1)
 
 
