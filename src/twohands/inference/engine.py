@@ -32,7 +32,7 @@ NO_PEAKS: Final[Mapping[str, float]] = MappingProxyType({})
 
 @dataclass(frozen=True, slots=True)
 class SecondNetworks:
-    """Pose networks that look where a preset's own doubt, and what they expect.
+    """Pose networks that know hands which a preset's own do not, and what they expect.
 
     Attributes:
         card: of their own preset.
@@ -60,7 +60,7 @@ class Networks:
             either side.
         pose_net_3d: (B, 21 + cues, M, M) -> canonical joints (B, 21, 3) of a left-like hand.
         runtime: what runs them and in which arithmetic, for the reader.
-        second: pose networks that look where these doubt; None without any.
+        second: pose networks that know other hands; None without any.
     """
 
     hand_seg_net: Callable[[np.ndarray], tuple[np.ndarray, ...]]

@@ -81,7 +81,7 @@ class Stages:
         place: canonical, joints_px, joint_scores, camera, lengths_m -> `placement.place`.
         check: image, joints (B, 21, 2) -> `hand_check.checked`; None without such a network.
         card: of the weights.
-        second: the same stages with the pose networks that look where these doubt; None without any.
+        second: the same stages with the second pose networks; None without any.
     """
 
     hand_maps: Callable[[np.ndarray], HandMaps]

@@ -33,7 +33,7 @@ A preset may take networks of another one; its card names the folder beside its 
                 "tta_rolls_deg": [15, -15]}
     }
 
-A preset may have second pose networks, which look where its own doubt (`inference.second_look`); its card names their
+A preset may have second pose networks, which know hands that its own do not (`inference.second_look`); its card names their
 folder, beside its own and like it a preset's, as "second". Where there is no such folder, that of the shipped weights
 with this name is meant: weights that were trained on from shipped ones keep their second networks. If its card has a
 section "hand_check", it holds a fourth network, which says of candidates whether they are hands (`models.hand_check`).
