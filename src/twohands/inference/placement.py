@@ -116,7 +116,7 @@ def refine(
     radius_m = posterior_ranges(ranged.placed.radius_m, scores, config)
     misfit = palm_misfit(pulled, ranged.keypoints.joints_px, camera, lengths_m, ranged.placed)
     sigma = range_sigma(scores, misfit, palm_span(pulled), config)
-    placed = replace(hands.placed, radius_m=ranged.placed.radius_m)
+    placed = replace(hands.placed, radius_m=ranged.placed.radius_m, valid=ranged.placed.valid)
     canonical = pulled if hands is ranged else _pulled(config, hands._replace(placed=placed), camera, lengths_m)
     joints_m = camera_from_canonical(canonical, lengths_m, radius_m, placed.theta, placed.phi)
     finite = np.isfinite(joints_m).all(axis=(1, 2))

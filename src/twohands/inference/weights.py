@@ -93,8 +93,7 @@ class WeightsCard:
         int8: networks that run in 8 bits -> name of an activation -> its largest size (`inference.int8`).
         check_size: side of the square input of HandCheck in pixels; 0 where the folder has none.
         check_margin: side of its crop over the larger side of the hand's box.
-        second: name of the folder, beside its own or among the shipped ones, of the pose networks that look where its
-            own doubt; "" without.
+        second: name of the folder, beside its own or among the shipped ones, of its second pose networks; "" without.
         views, decision, placement: every hand-tuned number of the pipeline.
         network_input: how the values of pictures are normalised for both networks that see them.
     """
