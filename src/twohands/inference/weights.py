@@ -33,10 +33,11 @@ A preset may take networks of another one; its card names the folder beside its 
                 "tta_rolls_deg": [15, -15]}
     }
 
-A preset may have second pose networks, which know hands that its own do not (`inference.second_look`); its card names their
-folder, beside its own and like it a preset's, as "second". Where there is no such folder, that of the shipped weights
-with this name is meant: weights that were trained on from shipped ones keep their second networks. If its card has a
-section "hand_check", it holds a fourth network, which says of candidates whether they are hands (`models.hand_check`).
+A preset may have second pose networks, which know hands that its own do not (`inference.second_look`); its card names
+their folder, beside its own and like it a preset's, as "second". Where there is no such folder, that of the shipped
+weights with this name is meant: weights that were trained on from shipped ones keep their second networks. If its card
+has a section "hand_check", it holds a fourth network, which says of candidates whether they are hands
+(`models.hand_check`).
 
 "views", "decision" and "placement" override any field of `inference.decision`'s records. Cards of version 1 had four of
 these elsewhere, under other names, and are read as well. Without weights in "decision" (scripts/fit_handedness.py),
