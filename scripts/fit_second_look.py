@@ -6,7 +6,8 @@
 
 The pictures are those of scripts/fit_handedness.py, whose decision does not depend on the answer. Both pairs see every
 candidate that is a true hand. The weights are those of a logistic regression on which pair is better,
-in which a hand counts as much as the pairs' errors differ, and all real hands together as much as all rendered ones.
+in which a hand counts as much as the pairs' errors differ, and all real hands together a quarter of what all rendered
+ones do (`REAL_SHARE`).
 Prints the mean error of the joints of the pair that is said to count, beside those of either pair and of the better one
 in truth, of pictures held out in turn; writes the weights into the card's "decision".
 
@@ -44,6 +45,9 @@ LARGEST_ERROR: Final = 0.5
 """Of a joint, in sizes of the hand: farther off is no worse."""
 REAL: Final = "digits"
 """Kind of the pictures that are photographs of hands, as `planned` calls it."""
+REAL_SHARE: Final = 0.25
+"""How much all real hands count together, as a share of all rendered ones (docs/history/journal.md, *Whose joints, and
+whose range*)."""
 PENALTY: Final = 1e-3
 """Of half the square of a weight times its feature's standard deviation."""
 
@@ -145,9 +149,9 @@ def fit(hands: Sequence[Both]) -> np.ndarray:
 
 
 def balanced(gain: np.ndarray, real: np.ndarray) -> np.ndarray:
-    """What the second pair gains of hands, (N,), so that real ones, (N,) bool, count as much as all others."""
+    """What the second pair gains of hands, (N,), so that real ones, (N,) bool, count `REAL_SHARE` of all others."""
     sums = [np.abs(gain[rows]).sum() for rows in (real, ~real)]
-    return np.where(real, gain * sums[1] / sums[0], gain) if min(sums) > 0 else gain
+    return np.where(real, gain * REAL_SHARE * sums[1] / sums[0], gain) if min(sums) > 0 else gain
 
 
 def held_out(hands: Sequence[Both]) -> np.ndarray:
