@@ -5,10 +5,9 @@
         --digits ../shared/data/real_train/digits --judges OLDER
 
 The pictures are those of scripts/fit_handedness.py, whose decision does not depend on the answer. Both pairs see every
-candidate that is a true hand. The weights are those of a logistic regression on which pair is better,
-in which a hand counts as much as the pairs' errors differ, and all real hands together a quarter of what all rendered
-ones do (`REAL_SHARE`).
-Prints the mean error of the joints of the pair that is said to count, beside those of either pair and of the better one
+candidate that is a true hand. The weights are those of a logistic regression on which pair is better, in which a hand
+counts as much as the pairs' errors differ, and all real hands together a tenth of what all rendered ones do
+(`REAL_SHARE`). Prints the mean error of the joints of the pair that is said to count, beside those of either pair and of the better one
 in truth, of pictures held out in turn; writes the weights into the card's "decision".
 
 Networks know pictures like those that they learnt from better than anybody's camera, and are sure of them. With
@@ -45,7 +44,7 @@ LARGEST_ERROR: Final = 0.5
 """Of a joint, in sizes of the hand: farther off is no worse."""
 REAL: Final = "digits"
 """Kind of the pictures that are photographs of hands, as `planned` calls it."""
-REAL_SHARE: Final = 0.25
+REAL_SHARE: Final = 0.1
 """How much all real hands count together, as a share of all rendered ones (docs/history/journal.md, *Whose joints, and
 whose range*)."""
 PENALTY: Final = 1e-3
