@@ -7,8 +7,8 @@
 The pictures are those of scripts/fit_handedness.py, whose decision does not depend on the answer. Both pairs see every
 candidate that is a true hand. The weights are those of a logistic regression on which pair is better, in which a hand
 counts as much as the pairs' errors differ, and all real hands together a tenth of what all rendered ones do
-(`REAL_SHARE`). Prints the mean error of the joints of the pair that is said to count, beside those of either pair and of the better one
-in truth, of pictures held out in turn; writes the weights into the card's "decision".
+(`REAL_SHARE`). Prints the mean error of the joints of the pair that is said to count, beside those of either pair and
+of the better one in truth, of pictures held out in turn; writes the weights into the card's "decision".
 
 Networks know pictures like those that they learnt from better than anybody's camera, and are sure of them. With
 `--judges FOLDER`, the pose networks of other weights look in place of the first ones as well. If these never saw
