@@ -159,7 +159,7 @@ class HandFinder:
             return found
         sides = first.sides[rows]
         second = self._second(found.masks, boxes_px, sides, None if joints_px is None else joints_px[sides])
-        better = np.flatnonzero(knows_better(first.rows(rows), second, config) | (lost is not None))
+        better = np.flatnonzero(knows_better(first.rows(rows), second, config) if lost is None else lost[rows])
         if not len(better):
             return found
         boxes = found.boxes.boxes_px.copy()

@@ -63,9 +63,9 @@ def followed_hands(finder: HandFinder, trail: Trail, time: float) -> Detection |
         crops = finder.joint_crops(masks, boxes.boxes_px, expected_px[sides], sides, pairs)
         return finder.looked(masks, boxes.boxes_px, crops)
 
-    first, by_second = looked(np.arange(len(present)), 0), np.flatnonzero(pairs)
-    keypoints = first.replaced(by_second, looked(by_second, 1)) if len(by_second) else first
-    seen = finder.recropped(Detection(masks, boxes, keypoints, first=first if len(by_second) else None))
+    first, others = looked(np.arange(len(present)), 0), np.flatnonzero(pairs)
+    keypoints = first.replaced(others, looked(others, 1)) if len(others) else first
+    seen = finder.recropped(Detection(masks, boxes, keypoints, first=first if len(others) else None))
     found, lost = _first_judged(finder, trail, seen, expected_px)
     found = finder.seen_better(found, boxes.boxes_px, expected_px, lost=lost)
     by_second = found.keypoints.pairs == 1
