@@ -221,6 +221,10 @@ class HandPose:
             nobody says; not exported.
         pair: of pose networks that saw the joints, 0 or 1; None where it was none of ours; for the next frame of a
             video, not exported.
+        other_px: (21, 2) the joints as the other pair of pose networks sees them; None where it was not asked; for the
+            next frame of a video, not exported.
+        own_range_m: `range_m` as the pair that saw the joints has it by itself, metres; None if not valid; for the next
+            frame of a video, not exported.
         range_sigma_m: standard deviation of `range_m`, metres: that of the estimate, and of what was assumed; None
             where it is not known.
         scale_source: how the hand length is known: "typed", "board", "distance", "assumed".
@@ -242,6 +246,8 @@ class HandPose:
     valid: bool | None = None
     side_logit: float | None = None
     pair: int | None = None
+    other_px: np.ndarray | None = None
+    own_range_m: float | None = None
     range_sigma_m: float | None = None
     scale_source: str | None = None
     intrinsics_source: str | None = None

@@ -8,17 +8,8 @@ import pytest
 from tests.oracles import Oracle, drawn_hands, make_card, restaged
 
 from twohands.geometry.boxes import upright_roll_deg
-from twohands.inference.following import (
-    FARTHEST,
-    LONGER_REST,
-    as_expected,
-    expected_joints,
-    followed_boxes,
-    longest_rest,
-    moved_masks,
-    similarity,
-    strayed,
-)
+from twohands.inference.expected import FARTHEST
+from twohands.inference.following import LONGER_REST, followed_boxes, longest_rest, moved_masks, similarity
 from twohands.inference.trail import Trail
 from twohands.types import HandPose, TwoHandPose
 
@@ -66,37 +57,6 @@ class Follower:
 
     def estimate(self, trail: Trail | None, index: int = 1) -> TwoHandPose:
         return self.estimator.estimate(SAMPLE.image, SAMPLE.camera, LENGTH_M, index=index, previous=trail)
-
-
-def test_hands_move_on_as_they_did():
-    moving = trail_of(pose_at(0), pose_at(1, (3.0, -2.0)))
-    np.testing.assert_allclose(expected_joints(moving, 2), SAMPLE.joints_px + np.array([6.0, -4.0]))
-    np.testing.assert_allclose(expected_joints(trail_of(pose_at(0)), 1), SAMPLE.joints_px)
-    timed = trail_of(pose_at(0, time_s=0.0), pose_at(1, (3.0, -2.0), time_s=0.1))
-    np.testing.assert_allclose(expected_joints(timed, 0.15), SAMPLE.joints_px + np.array([4.5, -3.0]))
-
-
-def test_nothing_is_expected_after_a_pause_or_of_a_hand_that_was_not_there():
-    moving = trail_of(pose_at(0), pose_at(1, (3.0, -2.0)))
-    assert np.isnan(expected_joints(moving, 3)).all()
-    coming = trail_of(pose_at(0, present=(False, False)), pose_at(1, (9.0, 9.0), present=(True, False)))
-    expected = expected_joints(coming, 2)
-    np.testing.assert_allclose(expected[0], SAMPLE.joints_px[0] + 9.0)
-    assert np.isnan(expected[1]).all()
-
-
-def test_hands_are_as_expected_where_they_moved_on_as_they_did():
-    """The second pair's may lie farther from where they were expected; another hand than before is not expected."""
-    size_px = np.ptp(SAMPLE.joints_px, axis=1).max(axis=1).min()
-    between_px = (FARTHEST[0] + FARTHEST[1]) / 2 * size_px
-    trail = trail_of(pose_at(0), pose_at(1, (3.0, 0.0)))
-    assert as_expected(pose_at(2, (6.0, 0.0)), trail) and not as_expected(pose_at(2), None)
-    astray = pose_at(2, (6.0 + between_px, 0.0))
-    assert not as_expected(astray, trail)
-    left, right = (replace(hand, pair=1) for hand in astray.hands)
-    assert as_expected(replace(astray, left=left, right=right), trail)
-    assert not as_expected(pose_at(2, (6.0, 0.0), present=(True, False)), trail)
-    assert not as_expected(pose_at(2), trail_of(pose_at(0), pose_at(1, present=(True, False))))
 
 
 def test_how_long_segmentation_rests():
@@ -161,13 +121,6 @@ def test_masks_of_large_pictures_are_coarser():
     moved = moved_masks(Trail.of(seen), np.stack([SAMPLE.joints_px[0] + 20, np.full((21, 2), np.nan)]))
     np.testing.assert_array_equal(np.argwhere(moved)[[0, -1]], [[110, 110], [209, 209]])
     assert moved.shape == (540, 960) and (moved == 1).sum() == 100 * 100
-
-
-def test_how_far_a_hand_has_strayed():
-    """From a hand 100 pixels long all joints are 6 and 8 pixels away: a tenth."""
-    expected_px = np.zeros((1, 21, 2))
-    expected_px[0, 0] = 100, 40
-    np.testing.assert_allclose(strayed(expected_px, expected_px + np.array([6.0, 8.0])), [0.1])
 
 
 def test_a_similarity_is_found_again():

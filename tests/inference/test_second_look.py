@@ -78,6 +78,31 @@ def test_the_second_pair_counts_where_its_weights_say_so():
     assert not knows_better(first, second, DecisionConfig()).any(), "without weights the first pair counts"
 
 
+@pytest.mark.parametrize("weight", [1.0, -1.0])
+@pytest.mark.parametrize(
+    ("first_off", "second_off", "second_logit", "second_counts"),
+    [
+        (0.3, 0.1, 0.1, True),
+        (0.1, 0.3, 9.0, False),
+        (0.1, 0.1, 9.0, None),
+        (0.3, 0.3, 9.0, None),
+        (np.nan, np.nan, 9.0, None),
+        (np.nan, 0.1, 9.0, True),
+        (0.3, 0.1, -0.1, None),  # it sees no hand
+    ],
+)
+def test_in_a_clip_the_pair_counts_that_alone_sees_a_hand_where_it_was(
+    first_off, second_off, second_logit, second_counts, weight
+):
+    """Else the weights say so, here always the same; hands are 100 pixels large."""
+    first, second = keypoints([0.9], [0.0]), keypoints([0.9], [second_logit], shift_px=300.0)
+    off_px = 100 * np.array([first_off, second_off])[:, None, None, None] * [1.0, 0.0]
+    expected_px = np.stack([first.joints_px, second.joints_px]) + off_px
+    config = DecisionConfig(second={"second": weight})
+    counts = weight > 0 if second_counts is None else second_counts
+    assert knows_better(first, second, config, expected_px).tolist() == [counts]
+
+
 class Two:
     """An estimator whose two pairs know the answer; the first is off by 3 pixels and has the scores that are given.
     `seen` are the crops of either pair; the second one `shrinks` hands in the picture."""
@@ -213,7 +238,7 @@ def test_a_hand_is_followed_by_the_pair_that_saw_it():
     again = two.estimate(Trail((first,), first, may_rest=True), 1)
     assert again.followed and [hand.pair for hand in again.hands] == [1, 0]
     (crop,) = two.seen[1]
-    assert [other.side for other in two.seen[0]] == [LEFT, RIGHT], "the range is the first pair's"
+    assert [other.side for other in two.seen[0]] == [RIGHT], "the range goes on as the first pair had it"
     assert crop.side == LEFT and crop.roll_deg, "with the fingers up at once: where they are is known"
     np.testing.assert_allclose(again.left.joints_px, SAMPLE.joints_px[LEFT], atol=0.3)
 
@@ -239,6 +264,23 @@ def test_a_hand_that_the_first_pair_loses_is_followed_by_the_second(second_logit
     if follows:
         assert [hand.pair for hand in again.hands] == [1, 0]
         np.testing.assert_allclose(again.left.joints_px, SAMPLE.joints_px[LEFT], atol=0.3)
+
+
+def test_of_a_hand_that_the_first_pair_goes_on_to_see_the_second_is_not_asked():
+    """Named case: the second pair looked at every hand of every frame, also where the first had known it better."""
+    two = Two(decision=NEVER)
+    first = two.estimate()
+    two.seen[1].clear()
+    again = two.estimate(Trail((first,), first), 1)
+    assert not again.followed and not two.seen[1] and again.left.present
+    moved = dataclasses.replace(first.left, joints_px=first.left.joints_px + 0.5 * np.ptp(first.left.joints_px))
+    two.estimate(Trail((dataclasses.replace(first, left=moved),), first), 1)
+    assert {crop.side for crop in two.seen[1]} == {LEFT}, "where it is not where it was expected"
+    by_second = Two()
+    seen = by_second.estimate()
+    by_second.seen[1].clear()
+    by_second.estimate(Trail((seen,), seen), 1)
+    assert seen.left.pair == 1 and LEFT in {crop.side for crop in by_second.seen[1]}, "whose it was"
 
 
 def test_crops_of_both_pairs_come_back_in_their_order():

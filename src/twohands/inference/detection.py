@@ -13,6 +13,7 @@ import numpy as np
 
 from twohands.geometry.boxes import box_in_picture, box_iou, continued_box, ellipse_in, upright_roll_deg
 from twohands.geometry.segmentation import UNCERTAIN, HandBoxes, as_one_hand, box_evidence, probability
+from twohands.inference.expected import FARTHEST, Expected, strayed
 from twohands.inference.handedness import (
     UNCHECKED,
     Assignment,
@@ -39,7 +40,7 @@ from twohands.inference.stages import Stages
 from twohands.inference.trail import Trail
 from twohands.inference.views import HandViewer
 from twohands.inference.weights import WeightsCard
-from twohands.skeleton import LEFT, RIGHT
+from twohands.skeleton import LEFT, N_JOINTS, RIGHT
 from twohands.types import HandCrop, PinholeCamera
 
 NO_MAPS: Final = np.zeros((2, 1, 1))
@@ -55,8 +56,10 @@ class Detection(NamedTuple):
         keypoints: of those that are present, in the order LEFT, RIGHT.
         side_logits: (2,) log-odds that a hand is of its side and not of the other; None where nobody has said.
         followed: whether HandSegNet rested; the masks are then those of an earlier frame.
-        first: the same hands as the first pose networks see them, where the second ones see some; None where these see
-            all.
+        first: the same hands as the first pose networks see them, where the joints of some are the second ones'; None
+            where there are none, or the first ones were not asked.
+        second_px: (2, 21, 2) joints of LEFT and RIGHT as the second ones see them, NaN where they were not asked; None
+            where nobody was.
     """
 
     masks: np.ndarray
@@ -65,6 +68,7 @@ class Detection(NamedTuple):
     side_logits: np.ndarray | None = None
     followed: bool = False
     first: Keypoints | None = None
+    second_px: np.ndarray | None = None
 
 
 class CandidateViews(NamedTuple):
@@ -88,6 +92,7 @@ class HandFinder:
         image: (H, W, 3).
         camera: of the image.
         keep_masks: whether masks are known and stay as they are.
+        expected: of the frame of a clip; None of a picture alone.
     """
 
     stages: Stages
@@ -95,6 +100,7 @@ class HandFinder:
     image: np.ndarray
     camera: PinholeCamera
     keep_masks: bool = False
+    expected: Expected | None = None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -153,13 +159,19 @@ class HandFinder:
         first, config = found.keypoints, self.card.decision
         if self.stages.second is None or not config.second:
             return found
-        rows = np.flatnonzero((first.pairs == 0) & (True if lost is None else lost))
+        rows = np.flatnonzero((first.pairs == 0) & (self._unexpected(first) if lost is None else lost))
         rows = rows[on_other_hand(first.rows(rows), found.masks, self.size) <= MOST_ASTRAY]
         if not len(rows):
             return found
         sides = first.sides[rows]
         second = self._second(found.masks, boxes_px, sides, None if joints_px is None else joints_px[sides])
-        better = np.flatnonzero(knows_better(first.rows(rows), second, config) if lost is None else lost[rows])
+        expected_px = None if self.expected is None else self.expected.seen_px[:, sides]
+        better = np.flatnonzero(
+            knows_better(first.rows(rows), second, config, expected_px) if lost is None else lost[rows]
+        )
+        second_px = np.full((2, N_JOINTS, 2), np.nan)
+        second_px[sides] = second.joints_px
+        found = found._replace(second_px=second_px)
         if not len(better):
             return found
         boxes = found.boxes.boxes_px.copy()
@@ -168,6 +180,13 @@ class HandFinder:
         behind = first if found.first is None else found.first
         seen = found._replace(keypoints=keypoints, boxes=replace(found.boxes, boxes_px=boxes), first=behind)
         return self.recropped(seen) if recrop else seen
+
+    def _unexpected(self, first: Keypoints) -> np.ndarray:
+        """(B,) bool, hands that the first pose networks do not go on to see where they were expected."""
+        if self.expected is None:
+            return np.ones(len(first.sides), bool)
+        astray = strayed(self.expected.seen_px[0, first.sides], first.joints_px)
+        return (self.expected.pairs[first.sides] > 0) | ~(astray <= FARTHEST[0])
 
     def both_looked(
         self, masks: np.ndarray, boxes_px: np.ndarray, crops: list[HandCrop]

@@ -15,7 +15,8 @@ import numpy as np
 from twohands.geometry.segmentation import HandBoxes, certain_masks, parted_masks
 from twohands.inference.detection import Detection, HandFinder
 from twohands.inference.engine import Networks, load_networks
-from twohands.inference.following import followed_hands
+from twohands.inference.expected import Expected
+from twohands.inference.following import followed_hands, going_on, with_sight
 from twohands.inference.keypoints import NO_KEYPOINTS, Keypoints, given_heatmaps
 from twohands.inference.placement import PlacedHands, hand_poses, refine
 from twohands.inference.segmenter import HandMaps
@@ -118,10 +119,12 @@ class HandEstimator:
         trail: Trail | None,
     ) -> TwoHandPose:
         """`estimate` of a picture that is taken for upright."""
-        finder = HandFinder(self.stages, self.card, image, camera, keep_masks=truth.masks is not None)
+        expected = None if trail is None else Expected.of(trail, index if time_s is None else time_s)
+        finder = HandFinder(self.stages, self.card, image, camera, truth.masks is not None, expected)
         found, said = None, None
-        if trail is not None and trail.may_rest and self.card.decides and truth.replaces_nothing:
-            found = followed_hands(finder, trail, index if time_s is None else time_s)
+        rests = self.card.decides and truth.replaces_nothing
+        if trail is not None and expected is not None and trail.may_rest and rests:
+            found = followed_hands(finder, trail, expected)
         if found is None:
             maps = None if truth.knows_hands else self.stages.hand_maps(image)
             said = None if maps is None else maps.turn_logits
@@ -186,20 +189,21 @@ class HandEstimator:
             if truth.boxes_px is None:
                 boxes = finder.joint_boxed(boxes, keypoints)
         placed = self.stages.place(canonical, keypoints.joints_px, keypoints.joint_scores, finder.camera, lengths_m)
-        sigmas_m = None
+        own_m, sigmas_m = placed.radius_m, None
         if estimated:
             hands = PlacedHands(canonical, keypoints, placed)
             ranged = self._ranged(hands, found.first, finder.camera, lengths_m)
-            canonical, placed, sigmas_m = refine(self.card.placement, hands, ranged, finder.camera, lengths_m)
-        return hand_poses(finder.in_picture(boxes), keypoints, canonical, placed, found.side_logits, sigmas_m)
+            known = going_on(found, finder.expected)
+            canonical, placed, sigmas_m = refine(self.card.placement, hands, ranged, known, finder.camera, lengths_m)
+        poses = hand_poses(finder.in_picture(boxes), keypoints, canonical, placed, found.side_logits, sigmas_m)
+        return with_sight(poses, found, own_m)
 
     def _ranged(
         self, hands: PlacedHands, first: Keypoints | None, camera: PinholeCamera, lengths_m: np.ndarray
     ) -> PlacedHands:
         """Hands as the first pose networks see them, `Detection.first`, where the joints are those of the second ones:
         whose joints are nearer in the picture is another question than whose ranges are."""
-        rows = np.flatnonzero(hands.keypoints.pairs)
-        if first is None or not len(rows):
+        if first is None or not len(rows := np.flatnonzero(hands.keypoints.pairs > first.pairs)):
             return hands
         keypoints = first.rows(rows)
         canonical = lifted(self.stages, keypoints, camera)

@@ -15,12 +15,12 @@ import numpy as np
 from twohands.geometry.boxes import box_in_picture, box_iou
 from twohands.geometry.segmentation import UNCERTAIN, HandBoxes, log_odds
 from twohands.inference.detection import Detection, HandFinder
+from twohands.inference.expected import FARTHEST, Expected, joints_of, strayed
 from twohands.inference.handedness import Assignment
-from twohands.inference.keypoints import Keypoints, in_sight, joint_boxes
-from twohands.inference.leaving import LONGEST_STEP
+from twohands.inference.keypoints import in_sight, joint_boxes
 from twohands.inference.trail import Trail
 from twohands.inference.weights import WeightsCard
-from twohands.skeleton import LEFT, N_JOINTS, RIGHT
+from twohands.skeleton import LEFT, RIGHT
 from twohands.types import HandPose, TwoHandPose
 
 REST_FRAMES: Final = 2
@@ -29,43 +29,31 @@ journal.md, *Two frames of rest*)."""
 LONGER_REST: Final = 3
 """Times as long it may rest while the second pair of pose networks follows both hands, which needs no masks
 (docs/history/journal.md, *Real hands followed*)."""
-FARTHEST: Final = (0.08, 0.15)
-"""How far, as a share of the hand's size, its joints may lie on average from where they were expected, as the first and
-as the second pair of pose networks see them; farther, and HandSegNet looks (docs/history/journal.md, *What segmentation
-at rest cost* and *Real hands followed*)."""
 _MOST_CELLS: Final = 960
 """Masks of followed hands have at most so many cells along the longer side of the picture."""
 
 
-def followed_hands(finder: HandFinder, trail: Trail, time: float) -> Detection | None:
+def followed_hands(finder: HandFinder, trail: Trail, expected: Expected) -> Detection | None:
     """Stages 2 and 3 of the hands of the last frame, where they should be now.
 
     Args:
         finder: of the picture.
         trail: of the clip.
-        time: of the frame, on the clip's clock: `TwoHandPose.time_s`, or `index` where that is None.
+        expected: of the frame.
 
     Returns:
         None where HandSegNet is to look: no hand can be followed (`followed_boxes`); or one is less likely a hand than
         none, by the card's last decision where the first pose networks see it, by what the second ones themselves say;
-        or it is not where it was expected (`FARTHEST`). Those that saw a hand see it again, the first
-        every one, for its range; where these lose theirs, the second are asked.
+        or it is not where it was expected (`FARTHEST`). Those that saw a hand see it again; where the
+        first ones lose theirs, the second are asked.
     """
-    finder, expected_px = replace(finder, keep_masks=True), expected_joints(trail, time)
+    finder, expected_px = replace(finder, keep_masks=True), expected.joints_px
     boxes = followed_boxes(trail, expected_px, finder.size, finder.card)
     if boxes is None:
         return None
     masks, present = moved_masks(trail, expected_px), np.flatnonzero(boxes.present)
-    pairs = _pairs(trail.last[-1])[present]
-
-    def looked(rows: np.ndarray, pair: int) -> Keypoints:
-        sides, pairs = present[rows], np.full(len(rows), pair)
-        crops = finder.joint_crops(masks, boxes.boxes_px, expected_px[sides], sides, pairs)
-        return finder.looked(masks, boxes.boxes_px, crops)
-
-    first, others = looked(np.arange(len(present)), 0), np.flatnonzero(pairs)
-    keypoints = first.replaced(others, looked(others, 1)) if len(others) else first
-    seen = finder.recropped(Detection(masks, boxes, keypoints, first=first if len(others) else None))
+    crops = finder.joint_crops(masks, boxes.boxes_px, expected_px[present], present, expected.pairs[present])
+    seen = finder.recropped(Detection(masks, boxes, finder.looked(masks, boxes.boxes_px, crops)))
     found, lost = _first_judged(finder, trail, seen, expected_px)
     found = finder.seen_better(found, boxes.boxes_px, expected_px, lost=lost)
     by_second = found.keypoints.pairs == 1
@@ -93,39 +81,6 @@ def _first_judged(
     return found._replace(boxes=replace(found.boxes, scores=scores)), first & (doubtful[sides] | far)
 
 
-def expected_joints(trail: Trail, time: float) -> np.ndarray:
-    """Where the hands will be if they move on as they did, without changing their pose.
-
-    Args:
-        trail: of the clip.
-        time: of the frame that comes, on the clip's clock: `TwoHandPose.time_s`, or `index` where that is None.
-
-    Returns:
-        (2, 21, 2) pixels; NaN for a hand that was not there in the last frame, and of both after a pause.
-    """
-    newest = trail.last[-1]
-    joints_px = np.array([_joints(hand) for hand in newest.hands])
-    if len(trail.last) < 2:
-        return joints_px
-    step, passed = _clock(newest) - _clock(trail.last[-2]), time - _clock(newest)
-    if not 0 < passed <= LONGEST_STEP * step:
-        return np.full_like(joints_px, np.nan)
-    moved = joints_px - np.array([_joints(hand) for hand in trail.last[-2].hands])
-    return joints_px + np.nan_to_num(moved.mean(axis=1, keepdims=True)) * (passed / step)
-
-
-def as_expected(pose: TwoHandPose, trail: Trail | None) -> bool:
-    """Whether the hands of a frame are those of the frames before, where they were expected: where they are not, to
-    follow them would most likely have failed."""
-    if trail is None:
-        return False
-    expected_px, found_px = expected_joints(trail, _clock(pose)), np.array([_joints(hand) for hand in pose.hands])
-    known = np.isfinite(expected_px).all(axis=(1, 2))
-    if (known != np.isfinite(found_px).all(axis=(1, 2))).any():
-        return False
-    return bool((strayed(expected_px, found_px) <= np.array(FARTHEST)[_pairs(pose)])[known].all())
-
-
 def longest_rest(pose: TwoHandPose, rest_frames: int) -> int:
     """For how many frames in a row HandSegNet may rest once it has seen these hands, if it is `rest_frames` for both by
     the first pose networks. One hand that these see is never followed: the other may come."""
@@ -143,7 +98,7 @@ def followed_boxes(
 
     Args:
         trail: of the clip.
-        expected_px: (2, 21, 2) `expected_joints`.
+        expected_px: (2, 21, 2) `Expected.joints_px`.
         image_size: (H, W) of the picture.
         card: of the weights.
 
@@ -161,13 +116,6 @@ def followed_boxes(
     return HandBoxes(boxes_px, present, _scores(trail))
 
 
-def strayed(expected_px: np.ndarray, joints_px: np.ndarray) -> np.ndarray:
-    """(B,) how far joints (B, 21, 2) lie from those expected, on average, as a share of the hands' size: the longer
-    side of the box of those expected."""
-    size_px = np.ptp(expected_px, axis=1).max(axis=-1)
-    return np.linalg.norm(joints_px - expected_px, axis=-1).mean(axis=-1) / np.maximum(size_px, 1e-9)
-
-
 def followed_assignment(trail: Trail, present: np.ndarray) -> Assignment:
     """Every hand of those that are followed, (2,) bool, is itself, as surely as when HandSegNet saw it."""
     source = np.where(present, [LEFT, RIGHT], -1)
@@ -181,7 +129,7 @@ def moved_masks(trail: Trail, expected_px: np.ndarray) -> np.ndarray:
 
     Args:
         trail: of the clip.
-        expected_px: (2, 21, 2) `expected_joints`.
+        expected_px: (2, 21, 2) `Expected.joints_px`.
 
     Returns:
         (h, w) uint8 masks of the picture, 0 background, 1 left, 2 right, of large pictures coarser than these; all
@@ -192,8 +140,7 @@ def moved_masks(trail: Trail, expected_px: np.ndarray) -> np.ndarray:
     step = -(-max(trail.seen.crop_masks.shape) // _MOST_CELLS)
     before = np.ascontiguousarray(trail.seen.crop_masks[::step, ::step])
     masks = np.zeros_like(before)
-    for side, hand in enumerate(trail.seen.hands):
-        joints = _joints(hand)
+    for side, joints in enumerate(joints_of(trail.seen)):
         if np.isfinite(joints).all() and np.isfinite(expected_px[side]).all():
             own = np.zeros(256, np.uint8)
             own[[1 + side, 1 + side + UNCERTAIN]] = 1 + side
@@ -236,15 +183,26 @@ def _scores(trail: Trail) -> np.ndarray:
     return np.array([0.5 if hand.score is None else hand.score for hand in trail.seen.hands])
 
 
-def _pairs(pose: TwoHandPose) -> np.ndarray:
-    """(2,) the pair of pose networks that saw each hand; the first where none of ours did."""
-    return np.array([hand.pair or 0 for hand in pose.hands])
+def going_on(found: Detection, expected: Expected | None) -> np.ndarray:
+    """(B, 2) what was known in the last frame (`Expected.ranges`) of the ranges of followed hands that the second pose
+    networks saw alone; NaN for others. Of ranges these know less than the first ones (`Detection.first`), and what
+    they miss by is much the same from frame to frame."""
+    keypoints = found.keypoints
+    if not found.followed or expected is None:
+        return np.full((len(keypoints.sides), 2), np.nan)
+    alone = (keypoints.pairs if found.first is None else np.minimum(keypoints.pairs, found.first.pairs)) > 0
+    return np.where(alone[:, None], expected.ranges[keypoints.sides], np.nan)
 
 
-def _clock(pose: TwoHandPose) -> float:
-    return float(pose.index if pose.time_s is None else pose.time_s)
-
-
-def _joints(hand: HandPose) -> np.ndarray:
-    known = hand.present and hand.joints_px is not None
-    return np.asarray(hand.joints_px, np.float64) if known else np.full((N_JOINTS, 2), np.nan)
+def with_sight(hands: tuple[HandPose, HandPose], found: Detection, own_m: np.ndarray) -> tuple[HandPose, HandPose]:
+    """The hands with what the next frame needs: where the other pair of pose networks saw their joints, and (B,) their
+    ranges by their own joints."""
+    seen = list(hands)
+    for row, (side, pair) in enumerate(zip(found.keypoints.sides, found.keypoints.pairs, strict=True)):
+        other_px = None if found.second_px is None or pair else found.second_px[side]
+        if pair and found.first is not None and not found.first.pairs[row]:
+            other_px = found.first.joints_px[row]
+        known = other_px is not None and bool(np.isfinite(other_px).all())
+        own = float(own_m[row]) if hands[side].valid else None
+        seen[side] = replace(hands[side], other_px=other_px if known else None, own_range_m=own)
+    return seen[0], seen[1]

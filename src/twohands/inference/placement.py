@@ -97,7 +97,12 @@ class PlacedHands(NamedTuple):
 
 
 def refine(
-    config: PlacementConfig, hands: PlacedHands, ranged: PlacedHands, camera: PinholeCamera, lengths_m: np.ndarray
+    config: PlacementConfig,
+    hands: PlacedHands,
+    ranged: PlacedHands,
+    going_on: np.ndarray,
+    camera: PinholeCamera,
+    lengths_m: np.ndarray,
 ) -> tuple[np.ndarray, GlobalPose, np.ndarray]:
     """The joints pulled to their lines of sight (`pull_to_rays`), and all of it at the likely range
     (`posterior_ranges`).
@@ -106,6 +111,8 @@ def refine(
         config: how far.
         hands: whose joints count.
         ranged: the same hands, as those pose networks see them whose ranges count.
+        going_on: (B, 2) ranges in shares of what the hands' own joints say, and their standard deviations as shares of
+            them, of hands of which those pose networks were not asked; NaN for the others.
         camera, lengths_m: as for `place`.
 
     Returns:
@@ -116,6 +123,9 @@ def refine(
     radius_m = posterior_ranges(ranged.placed.radius_m, scores, config)
     misfit = palm_misfit(pulled, ranged.keypoints.joints_px, camera, lengths_m, ranged.placed)
     sigma = range_sigma(scores, misfit, palm_span(pulled), config)
+    goes_on = np.isfinite(going_on[:, 0])
+    radius_m = np.where(goes_on, going_on[:, 0] * hands.placed.radius_m, radius_m)
+    sigma = np.where(goes_on, going_on[:, 1], sigma)
     placed = replace(hands.placed, radius_m=ranged.placed.radius_m, valid=ranged.placed.valid)
     canonical = pulled if hands is ranged else _pulled(config, hands._replace(placed=placed), camera, lengths_m)
     joints_m = camera_from_canonical(canonical, lengths_m, radius_m, placed.theta, placed.phi)

@@ -35,8 +35,9 @@ VERSION = 1
 DECIMALS = 6
 """A micrometre, a millionth of a pixel: below anything a measurement can tell."""
 
-_KEYS = tuple(f.name for f in fields(HandPose) if f.name not in ("side_logit", "pair"))
-"""Of a hand; what the picture alone says of its side is for the next frame."""
+_FOR_VIDEOS = ("side_logit", "pair", "other_px", "own_range_m")
+_KEYS = tuple(f.name for f in fields(HandPose) if f.name not in _FOR_VIDEOS)
+"""Of a hand; the others are for the next frame."""
 _NEWER = ("range_sigma_m", "scale_source", "intrinsics_source")
 """Fields that files from before them lack."""
 _SHAPES: dict[str, tuple[int, ...]] = {

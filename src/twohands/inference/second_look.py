@@ -16,6 +16,7 @@ import numpy as np
 from twohands.geometry.boxes import inside_picture
 from twohands.geometry.segmentation import UNCERTAIN
 from twohands.inference.decision import SECOND_FEATURES, DecisionConfig
+from twohands.inference.expected import FARTHEST, strayed
 from twohands.inference.handedness import LOGIT_LIMIT, PASSED, weight_vector
 from twohands.inference.keypoints import Keypoints
 
@@ -69,6 +70,24 @@ def second_features(first: Keypoints, second: Keypoints) -> np.ndarray:
     return np.stack(values, axis=-1)
 
 
-def knows_better(first: Keypoints, second: Keypoints, config: DecisionConfig) -> np.ndarray:
-    """(B,) bool: whether the second pair knows a hand better."""
-    return second_features(first, second) @ weight_vector(config.second, SECOND_FEATURES) > 0
+def knows_better(
+    first: Keypoints, second: Keypoints, config: DecisionConfig, expected_px: np.ndarray | None = None
+) -> np.ndarray:
+    """Whether the second pair knows a hand better.
+
+    Args:
+        first, second: what the two pairs see of the same B hands.
+        config: of the card.
+        expected_px: (2, B, 21, 2) where either pair is expected to see the joints in a clip, NaN where nothing is; the
+            pair that alone sees a hand there (`FARTHEST`) knows it better.
+
+    Returns:
+        (B,) bool.
+    """
+    better = second_features(first, second) @ weight_vector(config.second, SECOND_FEATURES) > 0
+    if expected_px is None:
+        return better
+    both = zip(expected_px, (first, second), strict=True)
+    there = [strayed(px, seen.joints_px) <= FARTHEST[1] for px, seen in both]
+    there[1] &= second.hand_logits >= 0
+    return np.where(there[0] == there[1], better, there[1])

@@ -135,8 +135,9 @@ def _turned_hand(hand: HandPose, size: tuple[int, int], turn: int) -> HandPose:
         return hand
     roll = rotation_about_z(math.radians(-90 * turn))
     changes: dict[str, object] = {}
-    if hand.joints_px is not None:
-        changes["joints_px"] = turned_points(hand.joints_px, size, turn)
+    for name in ("joints_px", "other_px"):
+        if (points_px := getattr(hand, name)) is not None:
+            changes[name] = turned_points(points_px, size, turn)
     if hand.box_px is not None:
         corners = turned_points(np.reshape(hand.box_px, (2, 2)), size, turn)
         changes["box_px"] = np.asarray(box_from_points(corners))

@@ -13,7 +13,8 @@ import numpy as np
 
 from twohands.errors import InputError
 from twohands.inference.decision import DecisionConfig
-from twohands.inference.following import REST_FRAMES, as_expected, longest_rest
+from twohands.inference.expected import as_expected
+from twohands.inference.following import REST_FRAMES, longest_rest
 from twohands.inference.leaving import CARRIED_FRAMES
 from twohands.inference.side_keeping import SideKeeper
 from twohands.inference.tracker import DEFAULT_SMOOTHING, HandTracker, RangeSmoothing

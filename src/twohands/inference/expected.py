@@ -1,0 +1,121 @@
+"""Where the hands of a video will be in the frame that comes: they move on as they did, without changing their pose.
+
+Ours; the paper's networks see every frame alone.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from twohands.inference.leaving import LONGEST_STEP
+from twohands.inference.trail import Trail
+from twohands.skeleton import LEFT, N_JOINTS, RIGHT
+from twohands.types import HandPose, TwoHandPose
+
+FARTHEST: Final = (0.08, 0.15)
+"""How far, as a share of the hand's size, its joints may lie on average from where they were expected, as the first and
+as the second pair of pose networks see them; farther, and HandSegNet looks (docs/history/journal.md, *What segmentation
+at rest cost* and *Real hands followed*)."""
+
+
+class Expected(NamedTuple):
+    """What is expected of a frame, LEFT and RIGHT.
+
+    Attributes:
+        seen_px: (2, 2, 21, 2) where each pair of pose networks would see the hands; NaN where it did not see a hand in
+            the last frame, and of all after a pause.
+        pairs: (2,) the pair of pose networks whose joints counted in the last frame; the first where none of ours did.
+        ranges: (2, 2) the last range, and its standard deviation as a share of it, where the range is in shares of what
+            that pair's own joints say; NaN where it is not known.
+    """
+
+    seen_px: np.ndarray
+    pairs: np.ndarray
+    ranges: np.ndarray
+
+    @classmethod
+    def of(cls, trail: Trail, time: float) -> Expected:
+        """Of the frame that comes.
+
+        Args:
+            trail: of the clip.
+            time: of the frame, on the clip's clock: `TwoHandPose.time_s`, or `index` where that is None.
+        """
+        newest = trail.last[-1]
+        seen_px, pairs = _seen(newest), _pairs(newest)
+        ranges = np.array([_range_shares(hand) for hand in newest.hands])
+        if len(trail.last) < 2:
+            return cls(seen_px, pairs, ranges)
+        step, passed = clock(newest) - clock(trail.last[-2]), time - clock(newest)
+        if not 0 < passed <= LONGEST_STEP * step:
+            return cls(np.full_like(seen_px, np.nan), pairs, ranges)
+        moved = (seen_px - _seen(trail.last[-2])).mean(axis=2, keepdims=True)
+        return cls(seen_px + np.nan_to_num(moved) * (passed / step), pairs, ranges)
+
+    @property
+    def joints_px(self) -> np.ndarray:
+        """(2, 21, 2) where the hands will be, as the pair would see them whose joints counted."""
+        return self.seen_px[self.pairs, [LEFT, RIGHT]]
+
+
+def as_expected(pose: TwoHandPose, trail: Trail | None) -> bool:
+    """Whether the hands of a frame are those of the frames before, where they were expected: where they are not, to
+    follow them would most likely have failed."""
+    if trail is None:
+        return False
+    pairs, expected, found_px = _pairs(pose), Expected.of(trail, clock(pose)), joints_of(pose)
+    known = np.isfinite(expected.joints_px).all(axis=(1, 2))
+    if (known != np.isfinite(found_px).all(axis=(1, 2))).any():
+        return False
+    own_px = expected.seen_px[pairs, [LEFT, RIGHT]]
+    expected_px = np.where(np.isfinite(own_px), own_px, expected.joints_px)
+    return bool((strayed(expected_px, found_px) <= np.array(FARTHEST)[pairs])[known].all())
+
+
+def strayed(expected_px: np.ndarray, joints_px: np.ndarray) -> np.ndarray:
+    """(B,) how far joints (B, 21, 2) lie from those expected, on average, as a share of the hands' size: the longer
+    side of the box of those expected."""
+    size_px = np.ptp(expected_px, axis=1).max(axis=-1)
+    return np.linalg.norm(joints_px - expected_px, axis=-1).mean(axis=-1) / np.maximum(size_px, 1e-9)
+
+
+def clock(pose: TwoHandPose) -> float:
+    """When a frame was, on the clip's clock."""
+    return float(pose.index if pose.time_s is None else pose.time_s)
+
+
+def joints_of(pose: TwoHandPose) -> np.ndarray:
+    """(2, 21, 2) the hands' joints in pixels, NaN for one that is not there."""
+    return np.array([_joints(hand) for hand in pose.hands])
+
+
+def _pairs(pose: TwoHandPose) -> np.ndarray:
+    """(2,) the pair of pose networks that saw each hand; the first where none of ours did."""
+    return np.array([hand.pair or 0 for hand in pose.hands])
+
+
+def _seen(pose: TwoHandPose) -> np.ndarray:
+    """(2, 2, 21, 2) the hands' joints in pixels as each pair of pose networks saw them, NaN where it did not."""
+    seen_px = np.full((2, 2, N_JOINTS, 2), np.nan)
+    for side, hand in enumerate(pose.hands):
+        pair = hand.pair or 0
+        seen_px[pair, side] = _joints(hand)
+        if hand.present and hand.other_px is not None:
+            seen_px[1 - pair, side] = hand.other_px
+    return seen_px
+
+
+def _range_shares(hand: HandPose) -> tuple[float, float]:
+    """A row of `Expected.ranges`."""
+    range_m, own_m, sigma_m = (
+        math.nan if known is None else known for known in (hand.range_m, hand.own_range_m, hand.range_sigma_m)
+    )
+    return range_m / own_m, sigma_m / range_m
+
+
+def _joints(hand: HandPose) -> np.ndarray:
+    known = hand.present and hand.joints_px is not None
+    return np.asarray(hand.joints_px, np.float64) if known else np.full((N_JOINTS, 2), np.nan)
