@@ -40,7 +40,7 @@ from twohands.inference.engine import Networks, SecondNetworks, load_networks
 from twohands.inference.estimator import HandEstimator
 from twohands.inference.keypoints import read_out
 from twohands.inference.stages import Stages
-from twohands.inference.weights import DEFAULT_PRESET, WeightsCard, preset_folder, read_card, weights_id
+from twohands.inference.weights import DEFAULT_PRESET, WeightsCard, preset_folder, weights_id
 from twohands.studies.budget import STUDIES
 from twohands.studies.ground_truth import HeatmapTargets, TruthfulEstimator
 from twohands.studies.smoothing_sweep import smoothing_sweep
@@ -254,7 +254,7 @@ def ablations(complete: TruthfulEstimator, floating: Networks | None) -> list[Ab
         floating: its networks in floating point, where they are shipped in 8 bits.
     """
     networks, card = complete.estimator.networks, complete.estimator.card
-    views, accurate_views = card.views, read_card(preset_folder("accurate")).views.tta_views
+    views = card.views
     low, high = views.tta_score_range
 
     def read_by(decoder: str) -> Estimate:
@@ -311,9 +311,6 @@ def ablations(complete: TruthfulEstimator, floating: Networks | None) -> list[Ab
                 "never": TruthfulEstimator(viewing(networks, card, tta_views=())),
                 f"a score between {low:g} and {high:g}: {in_words(views.tta_views)}": complete,
                 "always: the same": TruthfulEstimator(viewing(networks, card, tta_score_range=ALWAYS)),
-                f"always: {in_words(accurate_views)}": TruthfulEstimator(
-                    viewing(networks, card, tta_score_range=ALWAYS, tta_views=accurate_views)
-                ),
             },
         ),
         Ablation(

@@ -307,3 +307,13 @@ def test_a_weights_folder_tracks(tiny):
     # One network answer for both: the right hand is the left one's mirror image.
     np.testing.assert_allclose(pose.right.canonical, pose.left.canonical * [-1, 1, 1], atol=1e-6)
     np.testing.assert_allclose(pose.right.joints_px, pose.left.joints_px * [-1, 1] + [160, 0], atol=1e-2)
+
+
+def test_accurate_finds_the_hands_of_fast():
+    """By the same networks and decisions; it only looks at them more often. Named case: with views of the whole picture
+    and a decision of its own it lost hands of real people, and invented others."""
+    fast, accurate = (read_card(preset_folder(name)) for name in ("fast", "accurate"))
+    assert set(accurate.networks.values()) == {"fast"} and accurate.second == fast.second
+    assert accurate.decision == fast.decision
+    assert accurate.views == dataclasses.replace(fast.views, tta_rolls_deg=accurate.views.tta_rolls_deg)
+    assert accurate.views.tta_rolls_deg and not fast.views.tta_rolls_deg

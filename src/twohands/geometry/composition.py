@@ -40,8 +40,10 @@ def compose_hand_input(
 
     Source: paper section 4.2 ("reducing the brightness of the secondary hand by a factor of 0.5").
     """
-    mask_per_image = np.array([masks.shape[1] / image.shape[1], masks.shape[0] / image.shape[0], 1.0])
     crop = warp_image(image, image_from_crop, size)
+    if background == 1:
+        return crop
+    mask_per_image = np.array([masks.shape[1] / image.shape[1], masks.shape[0] / image.shape[0], 1.0])
     mask = warp_image(masks, mask_per_image[:, None] * image_from_crop, size, interpolation="nearest")
     weight = np.full(256, background, dtype=np.float32)
     own, other = 1 + side, 2 - side

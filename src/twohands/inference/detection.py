@@ -259,7 +259,8 @@ class HandFinder:
         """
         before, known = (None, NOTHING_KNOWN) if trail is None else (Before.of(trail.last[-1]), trail.sides)
         evidence, views = self.evidence(found, before)
-        assignment, side_logits = assign_in_clip(evidence, self.card.decision, known)
+        seen_px = self.joint_boxed(found.boxes, found.keypoints).boxes_px
+        assignment, side_logits = assign_in_clip(evidence, seen_px, self.card.decision, known)
         assigned, changed = self.assigned(found, assignment, views)
         recropped = self.recropped(assigned._replace(side_logits=side_logits), changed)
         kept = self.rescored(recropped, assignment, evidence.checks(assignment.source))
@@ -353,9 +354,13 @@ class HandFinder:
         masks, boxes = self._answered(found, source, scores)
         return Detection(masks, boxes, found.keypoints.rows(np.flatnonzero(kept[sides])), found.side_logits)
 
+    def viewer(self, masks: np.ndarray) -> HandViewer:
+        """What shows hands of the picture, with these masks, to the pose networks again."""
+        return HandViewer(self.stages, self.card, self.image, masks, self.camera)
+
     def further_seen(self, found: Detection, canonical: np.ndarray) -> tuple[Keypoints, np.ndarray]:
         """Keypoints and canonical poses (B, 21, 3) of the hands by the further views of them that the card asks for."""
-        viewer = HandViewer(self.stages, self.card, self.image, found.masks, self.camera)
+        viewer = self.viewer(found.masks)
         return viewer.agreed(*viewer.turned(found.keypoints, canonical))
 
     def joint_boxed(self, boxes: HandBoxes, keypoints: Keypoints) -> HandBoxes:

@@ -17,7 +17,7 @@ from twohands.inference.detection import Detection, HandFinder
 from twohands.inference.engine import Networks, load_networks
 from twohands.inference.expected import Expected
 from twohands.inference.following import followed_hands, going_on, with_sight
-from twohands.inference.keypoints import NO_KEYPOINTS, Keypoints, given_heatmaps
+from twohands.inference.keypoints import NO_KEYPOINTS, given_heatmaps
 from twohands.inference.placement import PlacedHands, hand_poses, refine
 from twohands.inference.segmenter import HandMaps
 from twohands.inference.stages import NO_TRUTH, Stages, StageTruth, check_picture
@@ -192,21 +192,20 @@ class HandEstimator:
         own_m, sigmas_m = placed.radius_m, None
         if estimated:
             hands = PlacedHands(canonical, keypoints, placed)
-            ranged = self._ranged(hands, found.first, finder.camera, lengths_m)
+            ranged = self._ranged(finder, found, hands, lengths_m)
             known = going_on(found, finder.expected)
             canonical, placed, sigmas_m = refine(self.card.placement, hands, ranged, known, finder.camera, lengths_m)
         poses = hand_poses(finder.in_picture(boxes), keypoints, canonical, placed, found.side_logits, sigmas_m)
         return with_sight(poses, found, own_m)
 
-    def _ranged(
-        self, hands: PlacedHands, first: Keypoints | None, camera: PinholeCamera, lengths_m: np.ndarray
-    ) -> PlacedHands:
+    def _ranged(self, finder: HandFinder, found: Detection, hands: PlacedHands, lengths_m: np.ndarray) -> PlacedHands:
         """Hands as the first pose networks see them, `Detection.first`, where the joints are those of the second ones:
         whose joints are nearer in the picture is another question than whose ranges are."""
+        first, camera = found.first, finder.camera
         if first is None or not len(rows := np.flatnonzero(hands.keypoints.pairs > first.pairs)):
             return hands
         keypoints = first.rows(rows)
-        canonical = lifted(self.stages, keypoints, camera)
+        keypoints, canonical = finder.viewer(found.masks).agreed(keypoints, lifted(self.stages, keypoints, camera))
         placed = self.stages.place(canonical, keypoints.joints_px, keypoints.joint_scores, camera, lengths_m[rows])
         known = np.flatnonzero(placed.valid)
         chosen = PlacedHands(canonical, keypoints, placed).rows(known)

@@ -25,16 +25,24 @@ _BEFORE: Final = [FIRST_FEATURES.index(name) for name in ("was_present", "held",
 _SOURCES: Final = np.array(ANSWERS)
 
 
-def assign_in_clip(evidence: Evidence, config: DecisionConfig, memory: SideMemory) -> tuple[Assignment, np.ndarray]:
+def assign_in_clip(
+    evidence: Evidence, seen_px: np.ndarray, config: DecisionConfig, memory: SideMemory
+) -> tuple[Assignment, np.ndarray]:
     """As `handedness.assign_handedness`, where an answer has the chance besides that hands in these places are of its
     sides.
+
+    Args:
+        evidence: of the candidates.
+        seen_px: (2, 4) boxes of the joints that are seen in them, as the hands of earlier frames have; NaN for none.
+        config: of the card.
+        memory: of the clip.
 
     Returns:
         The assignment, and (2,) log-odds that its hands are of their sides and not of the other, as this picture alone
         says; NaN for an absent one.
     """
     features, weights = first_features(evidence), weight_vector(config.first, FIRST_FEATURES)
-    scores = answer_scores(features, weights) + _side_scores(memory.left_logits(evidence.boxes_px))
+    scores = answer_scores(features, weights) + _side_scores(memory.left_logits(seen_px))
     assignment = best_answer(scores)
     weights[_BEFORE] = 0.0
     said = left_logits(probabilities(answer_scores(features, weights)))
