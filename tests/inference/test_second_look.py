@@ -214,6 +214,24 @@ def test_joints_are_the_second_pairs_and_ranges_the_first_pairs():
         assert np.linalg.norm(pose.left.joints_m[ROOT]) == pytest.approx(pose.left.range_m)
 
 
+def test_a_picture_alone_is_looked_at_again_as_the_second_pairs_card_says():
+    """Also by the first pair, for the range; of a clip the next frame is the next look."""
+    two = Two(tta_rolls_deg=(15.0, -15.0))
+    first = two.estimate()
+
+    def rolls(pair, side):
+        return sorted({crop.roll_deg for crop in two.seen[pair] if crop.side == side})
+
+    assert rolls(0, LEFT) == rolls(1, LEFT) == [-15, 0, 15]
+    assert rolls(0, RIGHT) == rolls(1, RIGHT) == [0], "its joints are the first pair's, whose card has no rolls"
+    np.testing.assert_allclose(first.left.joints_px, SAMPLE.joints_px[LEFT], atol=0.3)
+    assert first.left.range_m == pytest.approx(np.linalg.norm(SAMPLE.joints_m[LEFT][ROOT]), rel=0.02)
+    for crops in two.seen:
+        crops.clear()
+    again = two.estimate(Trail((first,), first), 1)
+    assert again.left.pair == 1 and rolls(0, LEFT) == rolls(1, LEFT) == [0]
+
+
 def test_a_hand_that_the_first_pair_cannot_place_is_where_the_second_has_it():
     two = Two(shrinks=0.8)
     plain = two.estimator.stages

@@ -356,7 +356,7 @@ class HandFinder:
 
     def viewer(self, masks: np.ndarray) -> HandViewer:
         """What shows hands of the picture, with these masks, to the pose networks again."""
-        return HandViewer(self.stages, self.card, self.image, masks, self.camera)
+        return HandViewer(self.stages, self.card, self.image, masks, self.camera, self.expected is None)
 
     def further_seen(self, found: Detection, canonical: np.ndarray) -> tuple[Keypoints, np.ndarray]:
         """Keypoints and canonical poses (B, 21, 3) of the hands by the further views of them that the card asks for."""

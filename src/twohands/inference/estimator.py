@@ -184,7 +184,8 @@ class HandEstimator:
         canonical = lifted(self.stages, keypoints, finder.camera) if canonical is None else canonical[sides]
         lengths_m = np.broadcast_to(hand_length_m, (2,))[sides]
         estimated = truth.heatmaps is None and truth.joints_px is None and truth.canonical is None
-        if estimated and self.card.views.looks_again:
+        looks_again = any(stages.card.views.looks_again for stages in (self.stages, self.stages.of_pair(1)))
+        if estimated and looks_again:
             keypoints, canonical = finder.further_seen(found, canonical)
             if truth.boxes_px is None:
                 boxes = finder.joint_boxed(boxes, keypoints)
@@ -204,8 +205,9 @@ class HandEstimator:
         first, camera = found.first, finder.camera
         if first is None or not len(rows := np.flatnonzero(hands.keypoints.pairs > first.pairs)):
             return hands
-        keypoints = first.rows(rows)
-        keypoints, canonical = finder.viewer(found.masks).agreed(keypoints, lifted(self.stages, keypoints, camera))
+        keypoints, pairs = first.rows(rows), hands.keypoints.pairs[rows]
+        canonical = lifted(self.stages, keypoints, camera)
+        keypoints, canonical = finder.viewer(found.masks).agreed(keypoints, canonical, pairs)
         placed = self.stages.place(canonical, keypoints.joints_px, keypoints.joint_scores, camera, lengths_m[rows])
         known = np.flatnonzero(placed.valid)
         chosen = PlacedHands(canonical, keypoints, placed).rows(known)

@@ -36,6 +36,7 @@ class HandViewer:
         image: (H, W, 3).
         masks: (H, W), as `masks_from_logits` gives them.
         camera: of the image.
+        alone: whether it is no frame of a clip.
     """
 
     stages: Stages
@@ -43,6 +44,7 @@ class HandViewer:
     image: np.ndarray
     masks: np.ndarray
     camera: PinholeCamera
+    alone: bool = True
 
     def turned(self, keypoints: Keypoints, canonical: np.ndarray) -> tuple[Keypoints, np.ndarray]:
         """Sees doubtful hands again, turned by that one of `ViewConfig.turns_deg` that brings their fingers nearest to
@@ -74,7 +76,9 @@ class HandViewer:
         poses[rows[surer]] = again_poses[surer]
         return keypoints.replaced(rows[surer], again.rows(surer)), poses
 
-    def agreed(self, keypoints: Keypoints, canonical: np.ndarray) -> tuple[Keypoints, np.ndarray]:
+    def agreed(
+        self, keypoints: Keypoints, canonical: np.ndarray, pairs: np.ndarray | None = None
+    ) -> tuple[Keypoints, np.ndarray]:
         """Sees every hand again, rolled by `ViewConfig.tta_rolls_deg`; all views count alike.
 
         What is learnt from rolled hands is not the same for every roll; the errors of such views differ, and now and
@@ -83,26 +87,32 @@ class HandViewer:
         Args:
             keypoints: of B hands, to be kept but for joints and scores.
             canonical: (B, 21, 3), from these keypoints.
+            pairs: (B,) the pose networks whose joints count, if not these: whose hands have further views.
 
         Returns:
             The keypoints with the geometric median of the joints, scores that are the geometric mean of the joints'
             mean scores and of how well the views agree (`agreement`), and the mean canonical pose.
         """
-        views = self.card.views
-        if not views.tta_rolls_deg:
-            return keypoints, canonical
-        rows = np.flatnonzero(self._in_sight(keypoints))
-        if not len(rows):
-            return keypoints, canonical
-        first = keypoints.rows(rows)
-        seen = [(first, canonical[rows]), *(self._rolled(first, degrees) for degrees in views.tta_rolls_deg)]
         joints_px, joint_scores, mean_pose = keypoints.joints_px.copy(), keypoints.joint_scores.copy(), canonical.copy()
-        seen_px = np.array([view.joints_px for view, _ in seen])
-        joints_px[rows] = geometric_median(seen_px)
-        agreed = agreement(seen_px, joints_px[rows], views.agreement_share)
-        joint_scores[rows] = np.sqrt(np.mean([view.joint_scores for view, _ in seen], axis=0) * agreed)
-        mean_pose[rows] = np.mean([poses for _, poses in seen], axis=0)
+        in_sight, pairs = self._in_sight(keypoints), keypoints.pairs if pairs is None else pairs
+        for pair in np.unique(pairs).tolist():
+            rows, rolls_deg = np.flatnonzero(in_sight & (pairs == pair)), self._rolls_deg(pair)
+            if not (rolls_deg and len(rows)):
+                continue
+            first = keypoints.rows(rows)
+            seen = [(first, canonical[rows]), *(self._rolled(first, degrees) for degrees in rolls_deg)]
+            seen_px = np.array([view.joints_px for view, _ in seen])
+            joints_px[rows] = geometric_median(seen_px)
+            agreed = agreement(seen_px, joints_px[rows], self.card.views.agreement_share)
+            joint_scores[rows] = np.sqrt(np.mean([view.joint_scores for view, _ in seen], axis=0) * agreed)
+            mean_pose[rows] = np.mean([poses for _, poses in seen], axis=0)
         return replace(keypoints, joints_px=joints_px, joint_scores=joint_scores), mean_pose
+
+    def _rolls_deg(self, pair: int) -> tuple[float, ...]:
+        """Of all hands those of the preset; where it has none, of a picture alone those of the second pose networks:
+        a frame of a clip has the next one."""
+        rolls_deg = self.card.views.tta_rolls_deg
+        return self.stages.of_pair(pair).card.views.tta_rolls_deg if self.alone and not rolls_deg else rolls_deg
 
     def _in_sight(self, keypoints: Keypoints) -> np.ndarray:
         return in_sight(keypoints.placed_px, self.image.shape[:2], self.card.views.smallest_box_px)
