@@ -154,7 +154,7 @@ class HandFinder:
             joints_px: (2, 21, 2) where their joints are expected; None where nothing is known.
             recrop: whether they are `recropped` then.
             lost: (B,) bool, hands of which the second ones are believed, and no others asked; None where they are asked
-                of all.
+                of all but those that the first ones go on to see where they were expected.
         """
         first, config = found.keypoints, self.card.decision
         if self.stages.second is None or not config.second:

@@ -28,8 +28,8 @@ class Expected(NamedTuple):
         seen_px: (2, 2, 21, 2) where each pair of pose networks would see the hands; NaN where it did not see a hand in
             the last frame, and of all after a pause.
         pairs: (2,) the pair of pose networks whose joints counted in the last frame; the first where none of ours did.
-        ranges: (2, 2) the last range, and its standard deviation as a share of it, where the range is in shares of what
-            that pair's own joints say; NaN where it is not known.
+        ranges: (2, 2) of each hand the last range over what its joints say by themselves, and the standard deviation
+            of that range over it; NaN where they are not known.
     """
 
     seen_px: np.ndarray

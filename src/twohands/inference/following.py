@@ -44,8 +44,8 @@ def followed_hands(finder: HandFinder, trail: Trail, expected: Expected) -> Dete
     Returns:
         None where HandSegNet is to look: no hand can be followed (`followed_boxes`); or one is less likely a hand than
         none, by the card's last decision where the first pose networks see it, by what the second ones themselves say;
-        or it is not where it was expected (`FARTHEST`). Those that saw a hand see it again; where the
-        first ones lose theirs, the second are asked.
+        or it is not where it was expected (`FARTHEST`). Those that saw a hand see it again; where the first ones lose
+        theirs, the second are asked.
     """
     finder, expected_px = replace(finder, keep_masks=True), expected.joints_px
     boxes = followed_boxes(trail, expected_px, finder.size, finder.card)
