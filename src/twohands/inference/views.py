@@ -91,7 +91,8 @@ class HandViewer:
 
         Returns:
             The keypoints with the geometric median of the joints, scores that are the geometric mean of the joints'
-            mean scores and of how well the views agree (`agreement`), and the mean canonical pose.
+            mean scores and of how well the views agree (`agreement`), and the mean canonical pose. A preset without
+            rolls of its own is fitted to scores of single views: they stay.
         """
         joints_px, joint_scores, mean_pose = keypoints.joints_px.copy(), keypoints.joint_scores.copy(), canonical.copy()
         in_sight, pairs = self._in_sight(keypoints), keypoints.pairs if pairs is None else pairs
@@ -103,8 +104,9 @@ class HandViewer:
             seen = [(first, canonical[rows]), *(self._rolled(first, degrees) for degrees in rolls_deg)]
             seen_px = np.array([view.joints_px for view, _ in seen])
             joints_px[rows] = geometric_median(seen_px)
-            agreed = agreement(seen_px, joints_px[rows], self.card.views.agreement_share)
-            joint_scores[rows] = np.sqrt(np.mean([view.joint_scores for view, _ in seen], axis=0) * agreed)
+            if self.card.views.tta_rolls_deg:
+                agreed = agreement(seen_px, joints_px[rows], self.card.views.agreement_share)
+                joint_scores[rows] = np.sqrt(np.mean([view.joint_scores for view, _ in seen], axis=0) * agreed)
             mean_pose[rows] = np.mean([poses for _, poses in seen], axis=0)
         return replace(keypoints, joints_px=joints_px, joint_scores=joint_scores), mean_pose
 
