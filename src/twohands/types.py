@@ -223,8 +223,9 @@ class HandPose:
             video, not exported.
         other_px: (21, 2) the joints as the other pair of pose networks sees them; None where it was not asked; for the
             next frame of a video, not exported.
-        own_range_m: `range_m` as the pair that saw the joints has it by itself, metres; None if not valid; for the next
-            frame of a video, not exported.
+        range_shares: the range as the pose networks place it whose word it is, over that which the joints by themselves
+            say, and the standard deviation of the estimate over it (NaN where it is not known); None where nothing is
+            known; for the next frame of a video, not exported.
         range_sigma_m: standard deviation of `range_m`, metres: that of the estimate, and of what was assumed; None
             where it is not known.
         scale_source: how the hand length is known: "typed", "board", "distance", "assumed".
@@ -247,7 +248,7 @@ class HandPose:
     side_logit: float | None = None
     pair: int | None = None
     other_px: np.ndarray | None = None
-    own_range_m: float | None = None
+    range_shares: tuple[float, float] | None = None
     range_sigma_m: float | None = None
     scale_source: str | None = None
     intrinsics_source: str | None = None

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from tests.oracles import drawn_hands
 
 from twohands.inference.expected import FARTHEST, Expected, as_expected, strayed
@@ -64,14 +63,25 @@ def test_each_pair_expects_hands_where_it_saw_them_itself():
     assert as_expected(seen(2, 0), trail) and as_expected(seen(2, 1), trail)
 
 
-def test_ranges_are_known_in_shares_of_what_the_hands_own_joints_say():
+def test_a_pair_that_saw_one_frame_expects_the_hand_to_move_as_the_other_saw_it():
+    """Named case: a hand that the second pair took over was expected to stand still, and lost at once."""
+    step = np.array([9.0, -4.0])
+
+    def seen(index, pair, **more):
+        pose = pose_at(index, index * step)
+        return replace(pose, left=replace(pose.left, pair=pair, **more))
+
+    now = seen(1, 1, other_px=SAMPLE.joints_px[LEFT] + step)
+    for last in (now, seen(1, 1)):
+        expected = Expected.of(trail_of(seen(0, 0), last), 2)
+        np.testing.assert_allclose(expected.joints_px[LEFT], SAMPLE.joints_px[LEFT] + 2 * step)
+
+
+def test_what_is_known_of_ranges_is_that_of_the_last_frame():
     pose = pose_at(0)
-    left = replace(pose.left, range_m=0.5, own_range_m=0.4, range_sigma_m=0.05)
-    expected = Expected.of(trail_of(replace(pose, left=left)), 1)
+    expected = Expected.of(trail_of(replace(pose, left=replace(pose.left, range_shares=(1.25, 0.1)))), 1)
     np.testing.assert_allclose(expected.ranges[LEFT], [1.25, 0.1])
     assert np.isnan(expected.ranges[RIGHT]).all()
-    unsure = Expected.of(trail_of(replace(pose, left=replace(left, range_sigma_m=None))), 1)
-    assert unsure.ranges[LEFT, 0] == pytest.approx(1.25) and np.isnan(unsure.ranges[LEFT, 1])
 
 
 def test_hands_are_as_expected_where_they_moved_on_as_they_did():

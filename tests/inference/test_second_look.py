@@ -15,10 +15,11 @@ from twohands.inference.decision import SECOND_FEATURES, DecisionConfig
 from twohands.inference.detection import Detection, HandFinder
 from twohands.inference.estimator import HandEstimator
 from twohands.inference.keypoints import Keypoints
+from twohands.inference.range_sigma import with_sources
 from twohands.inference.second_look import knows_better, on_other_hand, second_features
 from twohands.inference.trail import Trail
 from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
-from twohands.types import HandCrop
+from twohands.types import HandCrop, TwoHandPose
 
 SAMPLE = drawn_hands(7)
 LENGTH_M = 0.1
@@ -212,6 +213,43 @@ def test_joints_are_the_second_pairs_and_ranges_the_first_pairs():
         np.testing.assert_allclose(pose.left.joints_px, root_px + 0.8 * (SAMPLE.joints_px[LEFT] - root_px), atol=0.3)
         assert pose.left.range_m == pytest.approx(range_m, rel=0.02)
         assert np.linalg.norm(pose.left.joints_m[ROOT]) == pytest.approx(pose.left.range_m)
+
+
+def followed(two: Two, last: TwoHandPose) -> TwoHandPose:
+    return two.estimate(Trail((last,), last, may_rest=True), last.index + 1)
+
+
+def test_what_is_assumed_does_not_add_up_while_a_hand_is_followed():
+    """Named case: the doubt about an assumed hand length was taken for the estimate's own, and added in every frame."""
+    two = Two(shrinks=0.8)
+    card = two.estimator.card
+    card = dataclasses.replace(card, placement=dataclasses.replace(card.placement, range_sigma=(0.04, 0.7, 0.4, 1.5)))
+    two.estimator = HandEstimator(two.estimator.networks, card, dataclasses.replace(two.estimator.stages, card=card))
+    pose, shares = two.estimate(), []
+    for _ in range(4):
+        shares.append(pose.left.range_sigma_m / pose.left.range_m)
+        pose = followed(two, with_sources(pose, "assumed", "assumed"))
+        assert pose.followed and pose.left.pair == 1
+    np.testing.assert_allclose(shares, shares[0])
+
+
+def test_where_nothing_is_known_of_a_followed_hands_range_segmentation_looks():
+    two = Two()
+    first = two.estimate()
+    unknown = dataclasses.replace(first.left, range_shares=None)
+    assert followed(two, first).followed
+    assert not followed(two, dataclasses.replace(first, left=unknown)).followed
+
+
+def test_a_range_by_a_lost_look_does_not_go_on():
+    """Here the first pair sees the hand a tenth of its size from where it was expected, and the second takes over."""
+    first = Two(decision=NEVER).estimate()
+    size_px = np.ptp(SAMPLE.joints_px[LEFT], axis=0).max()
+    moved = dataclasses.replace(first.left, joints_px=SAMPLE.joints_px[LEFT] - [0.1 * size_px, 0.0])
+    again = followed(Two(decision=NEVER), dataclasses.replace(first, left=moved))
+    assert again.followed and [hand.pair for hand in again.hands] == [1, 0]
+    assert again.left.range_shares is None and again.right.range_shares is not None
+    assert not followed(Two(decision=NEVER), again).followed
 
 
 def test_a_picture_alone_is_looked_at_again_as_the_second_pairs_card_says():

@@ -56,8 +56,8 @@ class ViewConfig:
     """A hand's lead over the background, in logits, from which on a pixel belongs to that box."""
     tta_rolls_deg: tuple[float, ...] = ()
     """Further views of a hand for the pose networks, as cameras see it that are rolled so far about their line of
-    sight; degrees. Where a preset has none, those of its second pose networks' own card count for theirs, of pictures
-    that are no frames of a clip (docs/history/journal.md, *Clips known by their joints*)."""
+    sight; degrees. Where a preset has none, those of its second pose networks' own card count for theirs, where no
+    clip has shown anything before (docs/history/journal.md, *Clips known by their joints*)."""
     upright_within_deg: float = 180.0
     """How far from up a hand's fingers may point before PoseNet2D sees it again, as a camera does that is rolled so
     that they point up; and every further crop of it is rolled so. 180: none ever is."""

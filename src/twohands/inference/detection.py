@@ -92,7 +92,7 @@ class HandFinder:
         image: (H, W, 3).
         camera: of the image.
         keep_masks: whether masks are known and stay as they are.
-        expected: of the frame of a clip; None of a picture alone.
+        expected: of the frame of a clip; None of a picture alone, and of the first frame.
     """
 
     stages: Stages

@@ -84,8 +84,9 @@ class HandEstimator:
             truth: ground truth that replaces stages.
             index, time_s: position in the source, handed through.
             previous: of a video, what was found one frame before, or all that the clip has shown: hands seldom come or
-                go, or turn into the other one. Where HandSegNet may rest (`Trail.may_rest`) they are looked for where
-                they should be, first.
+                go, or turn into the other one, and the pose networks that saw one see it on. Where HandSegNet may rest
+                (`Trail.may_rest`) they are looked for where they should be, first. Pictures alone have more views of a
+                hand (`ViewConfig.tta_rolls_deg`).
 
         Returns:
             Both hands; an absent hand has `present` False. Of hands that were followed there are no masks.
@@ -190,14 +191,16 @@ class HandEstimator:
             if truth.boxes_px is None:
                 boxes = finder.joint_boxed(boxes, keypoints)
         placed = self.stages.place(canonical, keypoints.joints_px, keypoints.joint_scores, finder.camera, lengths_m)
-        own_m, sigmas_m = placed.radius_m, None
+        sigmas_m = shares = None
         if estimated:
             hands = PlacedHands(canonical, keypoints, placed)
-            ranged = self._ranged(finder, found, hands, lengths_m)
             known = going_on(found, finder.expected)
-            canonical, placed, sigmas_m = refine(self.card.placement, hands, ranged, known, finder.camera, lengths_m)
+            ranged = self._ranged(finder, found, hands, lengths_m).scaled(known[:, 0])
+            config, camera = self.card.placement, finder.camera
+            canonical, placed, sigmas_m = refine(config, hands, ranged, known[:, 1], camera, lengths_m)
+            shares = np.column_stack([ranged.placed.radius_m / hands.placed.radius_m, sigmas_m / placed.radius_m])
         poses = hand_poses(finder.in_picture(boxes), keypoints, canonical, placed, found.side_logits, sigmas_m)
-        return with_sight(poses, found, own_m)
+        return poses if shares is None else with_sight(poses, found, shares)
 
     def _ranged(self, finder: HandFinder, found: Detection, hands: PlacedHands, lengths_m: np.ndarray) -> PlacedHands:
         """Hands as the first pose networks see them, `Detection.first`, where the joints are those of the second ones:

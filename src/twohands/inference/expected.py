@@ -5,7 +5,6 @@ Ours; the paper's networks see every frame alone.
 
 from __future__ import annotations
 
-import math
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -28,8 +27,7 @@ class Expected(NamedTuple):
         seen_px: (2, 2, 21, 2) where each pair of pose networks would see the hands; NaN where it did not see a hand in
             the last frame, and of all after a pause.
         pairs: (2,) the pair of pose networks whose joints counted in the last frame; the first where none of ours did.
-        ranges: (2, 2) of each hand the last range over what its joints say by themselves, and the standard deviation
-            of that range over it; NaN where they are not known.
+        ranges: (2, 2) the `HandPose.range_shares` of the last frame; NaN where they are not known.
     """
 
     seen_px: np.ndarray
@@ -46,13 +44,15 @@ class Expected(NamedTuple):
         """
         newest = trail.last[-1]
         seen_px, pairs = _seen(newest), _pairs(newest)
-        ranges = np.array([_range_shares(hand) for hand in newest.hands])
+        ranges = np.array([hand.range_shares or (np.nan, np.nan) for hand in newest.hands])
         if len(trail.last) < 2:
             return cls(seen_px, pairs, ranges)
         step, passed = clock(newest) - clock(trail.last[-2]), time - clock(newest)
         if not 0 < passed <= LONGEST_STEP * step:
             return cls(np.full_like(seen_px, np.nan), pairs, ranges)
         moved = (seen_px - _seen(trail.last[-2])).mean(axis=2, keepdims=True)
+        for known in (moved[::-1], (joints_of(newest) - joints_of(trail.last[-2])).mean(axis=1, keepdims=True)):
+            moved = np.where(np.isfinite(moved), moved, known)  # of a pair that saw one of both frames
         return cls(seen_px + np.nan_to_num(moved) * (passed / step), pairs, ranges)
 
     @property
@@ -106,14 +106,6 @@ def _seen(pose: TwoHandPose) -> np.ndarray:
         if hand.present and hand.other_px is not None:
             seen_px[1 - pair, side] = hand.other_px
     return seen_px
-
-
-def _range_shares(hand: HandPose) -> tuple[float, float]:
-    """A row of `Expected.ranges`."""
-    range_m, own_m, sigma_m = (
-        math.nan if known is None else known for known in (hand.range_m, hand.own_range_m, hand.range_sigma_m)
-    )
-    return range_m / own_m, sigma_m / range_m
 
 
 def _joints(hand: HandPose) -> np.ndarray:

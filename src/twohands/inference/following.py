@@ -44,12 +44,12 @@ def followed_hands(finder: HandFinder, trail: Trail, expected: Expected) -> Dete
     Returns:
         None where HandSegNet is to look: no hand can be followed (`followed_boxes`); or one is less likely a hand than
         none, by the card's last decision where the first pose networks see it, by what the second ones themselves say;
-        or it is not where it was expected (`FARTHEST`). Those that saw a hand see it again; where the first ones lose
-        theirs, the second are asked.
+        or it is not where it was expected (`FARTHEST`); or nothing is known of the range of one that the second ones
+        follow. Those that saw a hand see it again; where the first ones lose theirs, the second are asked.
     """
     finder, expected_px = replace(finder, keep_masks=True), expected.joints_px
     boxes = followed_boxes(trail, expected_px, finder.size, finder.card)
-    if boxes is None:
+    if boxes is None or np.isnan(expected.ranges[boxes.present & (expected.pairs > 0), 0]).any():
         return None
     masks, present = moved_masks(trail, expected_px), np.flatnonzero(boxes.present)
     crops = finder.joint_crops(masks, boxes.boxes_px, expected_px[present], present, expected.pairs[present])
@@ -185,7 +185,7 @@ def _scores(trail: Trail) -> np.ndarray:
 
 def going_on(found: Detection, expected: Expected | None) -> np.ndarray:
     """(B, 2) what was known in the last frame (`Expected.ranges`) of the ranges of followed hands that the second pose
-    networks saw alone; NaN for others. Of ranges these know less than the first ones (`Detection.first`), and what
+    networks see alone; NaN for others. Of ranges these know less than the first ones (`Detection.first`), and what
     they miss by is much the same from frame to frame."""
     keypoints = found.keypoints
     if not found.followed or expected is None:
@@ -194,15 +194,17 @@ def going_on(found: Detection, expected: Expected | None) -> np.ndarray:
     return np.where(alone[:, None], expected.ranges[keypoints.sides], np.nan)
 
 
-def with_sight(hands: tuple[HandPose, HandPose], found: Detection, own_m: np.ndarray) -> tuple[HandPose, HandPose]:
-    """The hands with what the next frame needs: where the other pair of pose networks saw their joints, and (B,) their
-    ranges by their own joints."""
+def with_sight(hands: tuple[HandPose, HandPose], found: Detection, shares: np.ndarray) -> tuple[HandPose, HandPose]:
+    """The hands with what the next frame needs: where the other pair of pose networks saw their joints, and (B, 2)
+    `HandPose.range_shares`; not of a hand that the first ones have just lost, whose word that range is."""
     seen = list(hands)
     for row, (side, pair) in enumerate(zip(found.keypoints.sides, found.keypoints.pairs, strict=True)):
         other_px = None if found.second_px is None or pair else found.second_px[side]
-        if pair and found.first is not None and not found.first.pairs[row]:
+        by_both = bool(pair) and found.first is not None and not found.first.pairs[row]
+        if by_both and found.first is not None:
             other_px = found.first.joints_px[row]
-        known = other_px is not None and bool(np.isfinite(other_px).all())
-        own = float(own_m[row]) if hands[side].valid else None
-        seen[side] = replace(hands[side], other_px=other_px if known else None, own_range_m=own)
+        asked = other_px is not None and bool(np.isfinite(other_px).all())
+        known = bool(np.isfinite(shares[row, 0])) and not (found.followed and by_both)
+        share = (float(shares[row, 0]), float(shares[row, 1])) if known else None
+        seen[side] = replace(hands[side], other_px=other_px if asked else None, range_shares=share)
     return seen[0], seen[1]

@@ -86,6 +86,11 @@ class PlacedHands(NamedTuple):
         placed = GlobalPose(*(np.asarray(getattr(self.placed, one.name))[chosen] for one in fields(GlobalPose)))
         return PlacedHands(self.canonical[chosen], self.keypoints.rows(chosen), placed)
 
+    def scaled(self, shares: np.ndarray) -> PlacedHands:
+        """The same hands at so many times their ranges, (B,); as they are where that is NaN."""
+        radius_m = self.placed.radius_m * np.where(np.isfinite(shares), shares, 1.0)
+        return self._replace(placed=replace(self.placed, radius_m=radius_m))
+
     def replaced(self, rows: np.ndarray, other: PlacedHands) -> PlacedHands:
         """The same, with other hands in some rows."""
         order = np.arange(len(self.canonical))
@@ -100,7 +105,7 @@ def refine(
     config: PlacementConfig,
     hands: PlacedHands,
     ranged: PlacedHands,
-    going_on: np.ndarray,
+    sigmas: np.ndarray,
     camera: PinholeCamera,
     lengths_m: np.ndarray,
 ) -> tuple[np.ndarray, GlobalPose, np.ndarray]:
@@ -111,8 +116,7 @@ def refine(
         config: how far.
         hands: whose joints count.
         ranged: the same hands, as those pose networks see them whose ranges count.
-        going_on: (B, 2) ranges in shares of what the hands' own joints say, and their standard deviations as shares of
-            them, of hands of which those pose networks were not asked; NaN for the others.
+        sigmas: (B,) standard deviations of ranges as shares of them, where they are known from before; NaN elsewhere.
         camera, lengths_m: as for `place`.
 
     Returns:
@@ -123,9 +127,7 @@ def refine(
     radius_m = posterior_ranges(ranged.placed.radius_m, scores, config)
     misfit = palm_misfit(pulled, ranged.keypoints.joints_px, camera, lengths_m, ranged.placed)
     sigma = range_sigma(scores, misfit, palm_span(pulled), config)
-    goes_on = np.isfinite(going_on[:, 0])
-    radius_m = np.where(goes_on, going_on[:, 0] * hands.placed.radius_m, radius_m)
-    sigma = np.where(goes_on, going_on[:, 1], sigma)
+    sigma = np.where(np.isfinite(sigmas), sigmas, sigma)
     placed = replace(hands.placed, radius_m=ranged.placed.radius_m, valid=ranged.placed.valid)
     canonical = pulled if hands is ranged else _pulled(config, hands._replace(placed=placed), camera, lengths_m)
     joints_m = camera_from_canonical(canonical, lengths_m, radius_m, placed.theta, placed.phi)

@@ -78,8 +78,9 @@ def knows_better(
     Args:
         first, second: what the two pairs see of the same B hands.
         config: of the card.
-        expected_px: (2, B, 21, 2) where either pair is expected to see the joints in a clip, NaN where nothing is; the
-            pair that alone sees a hand there (`FARTHEST`) knows it better.
+        expected_px: (2, B, 21, 2) where either pair is expected to see the joints in a clip, NaN where it did not look
+            in the last frame; the pair that alone sees a hand there, within the second one's `FARTHEST`, knows it
+            better.
 
     Returns:
         (B,) bool.

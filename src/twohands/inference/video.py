@@ -1,6 +1,6 @@
 """Both hands over a video: what every frame's estimate becomes by those around it.
 
-The estimator of single pictures is told what the clip has shown so far (`following.Trail`): what was found one frame
+The estimator of single pictures is told what the clip has shown so far (`trail.Trail`): what was found one frame
 before, where hands will be, of which side they are. Ranges are smoothed and leaving hands carried on (`tracker`).
 `track`, `eval --smooth` and a live view do this alike, by this class.
 """

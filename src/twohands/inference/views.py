@@ -36,7 +36,7 @@ class HandViewer:
         image: (H, W, 3).
         masks: (H, W), as `masks_from_logits` gives them.
         camera: of the image.
-        alone: whether it is no frame of a clip.
+        alone: whether no clip has shown anything before it.
     """
 
     stages: Stages
