@@ -5,7 +5,8 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from tests.oracles import Oracle, drawn_hands, make_card, restaged
+from tests.inference.test_expected import SAMPLE, pose_at, trail_of
+from tests.oracles import Oracle, make_card, restaged
 
 from twohands.geometry.boxes import upright_roll_deg
 from twohands.inference.expected import FARTHEST
@@ -13,23 +14,9 @@ from twohands.inference.following import LONGER_REST, followed_boxes, longest_re
 from twohands.inference.trail import Trail
 from twohands.types import HandPose, TwoHandPose
 
-SAMPLE = drawn_hands(1)
 CARD = make_card(hand_logit=True)
 SIZE = SAMPLE.image.shape[:2]
 LENGTH_M = 0.1
-
-
-def pose_at(index: int, shift=(0.0, 0.0), present=(True, True), time_s: float | None = None) -> TwoHandPose:
-    """The true joints, moved by `shift` pixels."""
-    left, right = (
-        HandPose(True, 0.9, joints_px=SAMPLE.joints_px[side] + shift) if present[side] else HandPose(present=False)
-        for side in range(2)
-    )
-    return TwoHandPose(left, right, SAMPLE.camera, None, index, time_s)
-
-
-def trail_of(*poses: TwoHandPose) -> Trail:
-    return Trail(poses[-2:], poses[-1], may_rest=True)
 
 
 class Follower:

@@ -199,12 +199,13 @@ def with_sight(hands: tuple[HandPose, HandPose], found: Detection, shares: np.nd
     `HandPose.range_shares`; not of a hand that the first ones have just lost, whose word that range is."""
     seen = list(hands)
     for row, (side, pair) in enumerate(zip(found.keypoints.sides, found.keypoints.pairs, strict=True)):
-        other_px = None if found.second_px is None or pair else found.second_px[side]
-        by_both = bool(pair) and found.first is not None and not found.first.pairs[row]
-        if by_both and found.first is not None:
-            other_px = found.first.joints_px[row]
+        other_px, lost = None, False
+        if not pair:
+            other_px = None if found.second_px is None else found.second_px[side]
+        elif found.first is not None and not found.first.pairs[row]:
+            other_px, lost = found.first.joints_px[row], found.followed
         asked = other_px is not None and bool(np.isfinite(other_px).all())
-        known = bool(np.isfinite(shares[row, 0])) and not (found.followed and by_both)
+        known = bool(np.isfinite(shares[row, 0])) and not lost
         share = (float(shares[row, 0]), float(shares[row, 1])) if known else None
         seen[side] = replace(hands[side], other_px=other_px if asked else None, range_shares=share)
     return seen[0], seen[1]

@@ -88,7 +88,10 @@ class PlacedHands(NamedTuple):
 
     def scaled(self, shares: np.ndarray) -> PlacedHands:
         """The same hands at so many times their ranges, (B,); as they are where that is NaN."""
-        radius_m = self.placed.radius_m * np.where(np.isfinite(shares), shares, 1.0)
+        known = np.isfinite(shares)
+        if not known.any():
+            return self
+        radius_m = self.placed.radius_m * np.where(known, shares, 1.0)
         return self._replace(placed=replace(self.placed, radius_m=radius_m))
 
     def replaced(self, rows: np.ndarray, other: PlacedHands) -> PlacedHands:

@@ -95,10 +95,12 @@ class HandViewer:
             rolls of its own is fitted to scores of single views: they stay.
         """
         joints_px, joint_scores, mean_pose = keypoints.joints_px.copy(), keypoints.joint_scores.copy(), canonical.copy()
-        in_sight, pairs = self._in_sight(keypoints), keypoints.pairs if pairs is None else pairs
+        pairs = keypoints.pairs if pairs is None else pairs
         for pair in np.unique(pairs).tolist():
-            rows, rolls_deg = np.flatnonzero(in_sight & (pairs == pair)), self._rolls_deg(pair)
-            if not (rolls_deg and len(rows)):
+            if not (rolls_deg := self._rolls_deg(pair)):
+                continue
+            rows = np.flatnonzero(self._in_sight(keypoints) & (pairs == pair))
+            if not len(rows):
                 continue
             first = keypoints.rows(rows)
             seen = [(first, canonical[rows]), *(self._rolled(first, degrees) for degrees in rolls_deg)]
