@@ -233,6 +233,28 @@ def test_what_is_assumed_does_not_add_up_while_a_hand_is_followed():
     np.testing.assert_allclose(shares, shares[0])
 
 
+def test_a_followed_hand_of_the_second_pair_that_moved_otherwise_is_seen_once_more():
+    """Where it was found: it is still the hand if it is seen there then, and not if it is somewhere else again."""
+    two = Two()
+    first = two.estimate()
+    size_px = np.ptp(SAMPLE.joints_px[LEFT], axis=0).max()
+    elsewhere = dataclasses.replace(first.left, joints_px=first.left.joints_px - [0.25 * size_px, 0.0])
+    last = dataclasses.replace(first, left=elsewhere)
+    two.seen[1].clear()
+    again = followed(two, last)
+    assert again.followed and [crop.side for crop in two.seen[1]] == [LEFT, LEFT]
+    np.testing.assert_allclose(again.left.joints_px, SAMPLE.joints_px[LEFT], atol=0.3)
+    steps, second = iter(np.arange(9.0)), two.estimator.stages.second
+
+    def restless(maps, crops):
+        joints_px, scores = second.read_out(maps, crops)
+        return joints_px + np.array([0.2 * size_px * next(steps), 0.0]), scores
+
+    stages = dataclasses.replace(two.estimator.stages, second=dataclasses.replace(second, read_out=restless))
+    two.estimator = HandEstimator(two.estimator.networks, two.estimator.card, stages)
+    assert not followed(two, last).followed
+
+
 def test_where_nothing_is_known_of_a_followed_hands_range_segmentation_looks():
     two = Two()
     first = two.estimate()

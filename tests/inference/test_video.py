@@ -195,12 +195,13 @@ def test_segmentation_rests_for_so_many_frames_at_most():
 
 
 def test_segmentation_does_not_rest_where_hands_stray_or_one_is_missed():
-    """A hand that is alone is followed once the other one, which was there, is forgotten."""
+    """Those of the second pair are looked for nevertheless. A hand that is alone is followed once the other one, which
+    was there, is forgotten."""
     video, rests = VideoEstimator(), []
 
-    def run(index, **how):
+    def run(index, pair, **how):
         pose = pose_of(index, **how)
-        left, right = (replace(hand, pair=1) if hand.present else hand for hand in pose.hands)
+        left, right = (replace(hand, pair=pair) if hand.present else hand for hand in pose.hands)
 
         def estimate(trail):
             rests.append(trail is not None and trail.may_rest)
@@ -208,11 +209,15 @@ def test_segmentation_does_not_rest_where_hands_stray_or_one_is_missed():
 
         video.update(estimate)
 
-    for index, right_px in enumerate((30.0, -30.0, 0.0, 0.0, 0.0, 0.0)):
-        run(index, shift=(right_px, 0.0))
-    assert rests == [False, False, False, False, False, True], "hands move on as they did, says the frame before"
+    for pair in (1, 0):
+        video.reset()
+        rests.clear()
+        for index, right_px in enumerate((30.0, -30.0, 0.0, 0.0, 0.0, 0.0)):
+            run(index, pair, shift=(right_px, 0.0))
+        strays = [pair > 0] * 3
+        assert rests == [False, False, *strays, True], "hands move on as they did, says the frame before"
     for index in range(6, 20):
-        run(index, present=(True, False))
+        run(index, 1, present=(True, False))
     assert not any(rests[7:10]) and rests[-1]
 
 

@@ -16,8 +16,8 @@ from twohands.types import HandPose, TwoHandPose
 
 FARTHEST: Final = (0.08, 0.15)
 """How far, as a share of the hand's size, its joints may lie on average from where they were expected, as the first and
-as the second pair of pose networks see them; farther, and HandSegNet looks (docs/history/journal.md, *What segmentation
-at rest cost* and *Real hands followed*)."""
+as the second pair of pose networks see them; farther, and HandSegNet looks, or the second pair once more (docs/history/
+journal.md, *What segmentation at rest cost*, *Real hands followed* and *What is known is not doubted anew*)."""
 
 
 class Expected(NamedTuple):
@@ -62,8 +62,8 @@ class Expected(NamedTuple):
 
 
 def as_expected(pose: TwoHandPose, trail: Trail | None) -> bool:
-    """Whether the hands of a frame are those of the frames before, where they were expected: where they are not, to
-    follow them would most likely have failed."""
+    """Whether the hands of a frame are those of the frames before, where they were expected as far as the first pair
+    of pose networks saw them: where they are not, to follow them would most likely have failed."""
     if trail is None:
         return False
     pairs, expected, found_px = _pairs(pose), Expected.of(trail, clock(pose)), joints_of(pose)
@@ -72,7 +72,8 @@ def as_expected(pose: TwoHandPose, trail: Trail | None) -> bool:
         return False
     own_px = expected.seen_px[pairs, [LEFT, RIGHT]]
     expected_px = np.where(np.isfinite(own_px), own_px, expected.joints_px)
-    return bool((strayed(expected_px, found_px) <= np.array(FARTHEST)[pairs])[known].all())
+    there = (pairs > 0) | (strayed(expected_px, found_px) <= FARTHEST[0])
+    return bool(there[known].all())
 
 
 def strayed(expected_px: np.ndarray, joints_px: np.ndarray) -> np.ndarray:

@@ -44,8 +44,9 @@ def followed_hands(finder: HandFinder, trail: Trail, expected: Expected) -> Dete
     Returns:
         None where HandSegNet is to look: no hand can be followed (`followed_boxes`); or one is less likely a hand than
         none, by the card's last decision where the first pose networks see it, by what the second ones themselves say;
-        or it is not where it was expected (`FARTHEST`); or nothing is known of the range of one that the second ones
-        follow. Those that saw a hand see it again; where the first ones lose theirs, the second are asked.
+        or it is not where it was expected (`FARTHEST`), nor by the second ones seen twice in another place; or nothing
+        is known of the range of one that these follow. Those that saw a hand see it again; where the first ones lose
+        theirs, the second are asked.
     """
     finder, expected_px = replace(finder, keep_masks=True), expected.joints_px
     boxes = followed_boxes(trail, expected_px, finder.size, finder.card)
@@ -53,15 +54,21 @@ def followed_hands(finder: HandFinder, trail: Trail, expected: Expected) -> Dete
         return None
     masks, present = moved_masks(trail, expected_px), np.flatnonzero(boxes.present)
     crops = finder.joint_crops(masks, boxes.boxes_px, expected_px[present], present, expected.pairs[present])
-    seen = finder.recropped(Detection(masks, boxes, finder.looked(masks, boxes.boxes_px, crops)))
+    looked = Detection(masks, boxes, finder.looked(masks, boxes.boxes_px, crops))
+    astray = (looked.keypoints.pairs == 1) & _strayed(expected_px[present], looked)
+    seen = finder.recropped(looked, astray)
+    elsewhere = astray & ~_strayed(looked.keypoints.joints_px, seen)
     found, lost = _first_judged(finder, trail, seen, expected_px)
     found = finder.seen_better(found, boxes.boxes_px, expected_px, lost=lost)
-    by_second = found.keypoints.pairs == 1
-    gone = found.keypoints.hand_logits < 0
-    gone |= strayed(expected_px[present], found.keypoints.joints_px) > FARTHEST[1]
-    if np.where(by_second, gone, lost).any():
+    gone = (found.keypoints.hand_logits < 0) | (_strayed(expected_px[present], found) & ~elsewhere)
+    if np.where(found.keypoints.pairs == 1, gone, lost).any() or _in_one_place(found.boxes, finder.card):
         return None
     return found._replace(followed=True)
+
+
+def _strayed(joints_px: np.ndarray, found: Detection) -> np.ndarray:
+    """(B,) bool, whether hands are farther from joints (B, 21, 2) than the second pose networks may see them."""
+    return strayed(joints_px, found.keypoints.joints_px) > FARTHEST[1]
 
 
 def _first_judged(
@@ -111,9 +118,12 @@ def followed_boxes(
         return None
     boxes_px = np.full((2, 4), np.nan)
     boxes_px[present] = joint_boxes(expected_px[present], image_size, boxes_px[present], smallest_px)
-    if present.all() and box_iou(*boxes_px) >= card.decision.same_place_iou:
-        return None
-    return HandBoxes(boxes_px, present, _scores(trail))
+    boxes = HandBoxes(boxes_px, present, _scores(trail))
+    return None if _in_one_place(boxes, card) else boxes
+
+
+def _in_one_place(boxes: HandBoxes, card: WeightsCard) -> bool:
+    return bool(boxes.present.all() and box_iou(*boxes.boxes_px) >= card.decision.same_place_iou)
 
 
 def followed_assignment(trail: Trail, present: np.ndarray) -> Assignment:
