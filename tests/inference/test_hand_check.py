@@ -82,20 +82,6 @@ def test_it_is_not_asked_where_posenet2d_is_sure_of_every_candidate():
     assert np.isnan(evidence.checks(np.array([0, 1]))).all()
 
 
-def test_hands_that_go_on_are_not_doubted_anew():
-    """Neither mirrored, nor checked, nor taken for one; a new hand beside one is."""
-    asked = []
-    here, found = finder(lambda image, joints_px: asked.append(joints_px) or SAID[: len(joints_px)])
-    evidence, _ = here.evidence(found, None, np.array([True, False]))
-    np.testing.assert_allclose(evidence.check[RIGHT], SAID[0])
-    np.testing.assert_allclose(asked[0], found.keypoints.joints_px[[RIGHT]])
-    assert np.isnan(evidence.check[LEFT]).all()
-    np.testing.assert_array_equal(np.isfinite(evidence.pose), [[True, True], [False, True]])
-    here, found = finder(lambda *_: pytest.fail("it was asked"), same_place_iou=0.0)
-    evidence, _ = here.evidence(found, None, np.array([True, True]))
-    assert evidence.merged_pose is None and (np.isfinite(evidence.pose) == np.eye(2, dtype=bool)).all()
-
-
 def test_two_candidates_in_one_place_are_also_checked_as_one_hand():
     here, found = finder(lambda image, joints_px: SAID[: len(joints_px)], same_place_iou=0.0)
     evidence, _ = here.evidence(found, None)

@@ -106,11 +106,11 @@ def test_in_a_clip_the_pair_counts_that_alone_sees_a_hand_where_it_was(
 
 class Two:
     """An estimator whose two pairs know the answer; the first is off by 3 pixels and has the scores that are given.
-    `seen` are the crops of either pair; the second one `shrinks` hands in the picture."""
+    `seen` are the crops of either pair; the second one `shrinks` hands in the picture and sees them `off_px`."""
 
     def __init__(self, scores=(0.5, 0.9), decision=TRUSTED, second_logit=4.0, shrinks=1.0, **second_card) -> None:
         self.seen: tuple[list[HandCrop], list[HandCrop]] = ([], [])
-        self.shrinks = shrinks
+        self.shrinks, self.off_px = shrinks, lambda: 0.0
         self.hand_logits = (4.0, second_logit)
         card = make_card(hand_logit=True)
         card = dataclasses.replace(card, decision=dataclasses.replace(card.decision, **decision))
@@ -131,7 +131,7 @@ class Two:
 
         def read_out(maps, crops):
             joints_px, _ = plain.read_out(maps, crops)
-            off_px = np.array([3.0 * (1 - pair), 0.0])
+            off_px = np.array([self.off_px() if pair else 3.0, 0.0])
             if pair:
                 root_px = joints_px[:, ROOT, None]
                 joints_px = root_px + self.shrinks * (joints_px - root_px)
@@ -244,15 +244,24 @@ def test_a_followed_hand_of_the_second_pair_that_moved_otherwise_is_seen_once_mo
     again = followed(two, last)
     assert again.followed and [crop.side for crop in two.seen[1]] == [LEFT, LEFT]
     np.testing.assert_allclose(again.left.joints_px, SAMPLE.joints_px[LEFT], atol=0.3)
-    steps, second = iter(np.arange(9.0)), two.estimator.stages.second
-
-    def restless(maps, crops):
-        joints_px, scores = second.read_out(maps, crops)
-        return joints_px + np.array([0.2 * size_px * next(steps), 0.0]), scores
-
-    stages = dataclasses.replace(two.estimator.stages, second=dataclasses.replace(second, read_out=restless))
-    two.estimator = HandEstimator(two.estimator.networks, two.estimator.card, stages)
+    steps = iter(np.arange(9.0))
+    two.off_px = lambda: 0.2 * size_px * next(steps)
     assert not followed(two, last).followed
+
+
+def test_a_followed_hand_is_not_one_that_is_outside_the_picture_or_where_the_other_one_was():
+    """Named cases: joints outside the picture were cut from the old box again, and so agreed with themselves; hands
+    that each look found in the place of the other one changed sides, and nobody saw it."""
+    two = Two(scores=(0.5, 0.5))
+    first = two.estimate()
+    assert followed(two, first).followed and {hand.pair for hand in first.hands} == {1}
+    left, right = (
+        dataclasses.replace(hand, joints_px=other.joints_px)
+        for hand, other in zip(first.hands, first.hands[::-1], strict=True)
+    )
+    assert not followed(two, dataclasses.replace(first, left=left, right=right)).followed
+    two.off_px = lambda: -10.0 * SAMPLE.image.shape[1]
+    assert not followed(two, first).followed
 
 
 def test_where_nothing_is_known_of_a_followed_hands_range_segmentation_looks():

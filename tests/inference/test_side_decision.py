@@ -39,23 +39,6 @@ def test_without_memory_it_is_the_decision_of_single_pictures():
         assert (np.isnan(sides) == (found.source < 0)).all()
 
 
-def test_a_hand_goes_on_where_it_was_in_the_last_frame_and_on_its_side():
-    """It stood still; a fifth of its size is one standard deviation, e^-.5 = .61, 1.2 of them are .487."""
-    memory = remembered(BOXES, (6.0, 6.0))
-    size = (BOXES[:, 2:] - BOXES[:, :2]).max(axis=1)
-
-    def goes_on(*deviations):
-        shift = 0.2 * size * deviations
-        return memory.goes_on(BOXES + np.stack([shift, 0 * shift, shift, 0 * shift], axis=1)).tolist()
-
-    assert goes_on(1.0, 1.2) == [True, False] and goes_on(-1.2, np.nan) == [False, False]
-    assert memory.goes_on(BOXES[::-1]).tolist() == [False, False], "on the other side it is another hand"
-    none = HandPose(present=False)
-    missed = memory.after(TwoHandPose(none, HandPose(True, 0.9, box_px=BOXES[1]), CAMERA, index=30))
-    assert missed.tracks[LEFT] is not None and missed.goes_on(BOXES).tolist() == [False, True]
-    assert not NOTHING_KNOWN.goes_on(BOXES).any()
-
-
 def test_what_was_known_outweighs_a_single_contrary_picture():
     """Both hands look a little more like the other one."""
     evidence = known((1.0, 1.0), (2.0, 2.0))

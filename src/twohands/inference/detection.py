@@ -43,8 +43,6 @@ from twohands.inference.weights import WeightsCard
 from twohands.skeleton import LEFT, N_JOINTS, RIGHT
 from twohands.types import HandCrop, PinholeCamera
 
-NOBODY: Final = np.zeros(2, bool)
-"""No candidate is known."""
 NO_MAPS: Final = np.zeros((2, 1, 1))
 """Energies or leads of which nobody knows anything."""
 
@@ -260,44 +258,39 @@ class HandFinder:
             trail: of the clip; None of a picture alone.
         """
         before, known = (None, NOTHING_KNOWN) if trail is None else (Before.of(trail.last[-1]), trail.sides)
+        evidence, views = self.evidence(found, before)
         seen_px = self.joint_boxed(found.boxes, found.keypoints).boxes_px
-        evidence, views = self.evidence(found, before, known.goes_on(seen_px))
         assignment, side_logits = assign_in_clip(evidence, seen_px, self.card.decision, known)
         assigned, changed = self.assigned(found, assignment, views)
         recropped = self.recropped(assigned._replace(side_logits=side_logits), changed)
         kept = self.rescored(recropped, assignment, evidence.checks(assignment.source))
         return self.seen_better(kept, assigned.boxes.boxes_px)
 
-    def evidence(
-        self, found: Detection, before: Before | None, known: np.ndarray = NOBODY
-    ) -> tuple[Evidence, CandidateViews]:
+    def evidence(self, found: Detection, before: Before | None) -> tuple[Evidence, CandidateViews]:
         """What is known of HandSegNet's candidates; PoseNet2D sees them mirrored, or merged, where that may help, and
         HandCheck sees them then, too.
 
         Args:
             found: candidates with keypoints, each as the hand that HandSegNet took it for.
             before: the frame before.
-            known: (2,) bool, candidates that are hands going on (`SideMemory.goes_on`): they are not doubted anew.
         """
         rules, boxes, seen = self.card.decision, found.boxes, found.keypoints
         pose, joints = np.full((2, 2, 2), np.nan)
         alone = {(side, side): seen.rows([i]) for i, side in enumerate(seen.sides)}
-        new = seen.rows(np.flatnonzero(~known[seen.sides]))
-        doubtful = bool((new.hand_logits < rules.mirror_below_logit).any())
-        together = len(new.crops) > 0 and bool(box_iou(*boxes.boxes_px) >= rules.same_place_iou)
-        mirrored, merged = self._seen_again(found, new.crops if doubtful else [], together)
+        doubtful = bool((seen.hand_logits < rules.mirror_below_logit).any())
+        mirrored, merged = self._seen_again(found, doubtful, box_iou(*boxes.boxes_px) >= rules.same_place_iou)
         if mirrored is not None:
-            alone |= {(1 - side, side): mirrored.rows([i]) for i, side in enumerate(new.sides)}
+            alone |= {(1 - side, side): mirrored.rows([i]) for i, side in enumerate(seen.sides)}
         for where, view in alone.items():
             pose[where], joints[where] = view.hand_logits[0], view.joint_scores.mean()
         distance = palm_distance(seen.joints_px, boxes.boxes_px) if len(seen.sides) == 2 else math.inf
         together = (None, None) if merged is None else (merged.hand_logits, merged.joint_scores.mean(axis=-1))
         doubtful = doubtful or merged is not None
-        checks = self._checked(new, merged) if doubtful else np.full((3, 2), np.nan)
+        checks = self._checked(seen, merged) if doubtful else np.full((3, 2), np.nan)
         maps = boxes.evidence or box_evidence(NO_MAPS, NO_MAPS, np.full((2, 4), np.nan), (1, 1))
         said = {"check": checks[:2], "merged_check": checks[2]}
-        evidence = Evidence(self.size, boxes.boxes_px, maps, pose, joints, *together, distance, before, **said)
-        return evidence, CandidateViews(alone, merged)
+        known = Evidence(self.size, boxes.boxes_px, maps, pose, joints, *together, distance, before, **said)
+        return known, CandidateViews(alone, merged)
 
     def _checked(self, seen: Keypoints, merged: Keypoints | None) -> np.ndarray:
         """(3, 2) HandCheck's log-odds, as in `Evidence.check`, of candidates 0 and 1, and of both as the hand for which
@@ -383,17 +376,17 @@ class HandFinder:
         return replace(boxes, boxes_px=np.asarray(box_in_picture(boxes.boxes_px.reshape(2, 2, 2), width, height)))
 
     def _seen_again(
-        self, found: Detection, doubtful: list[HandCrop], together: bool
+        self, found: Detection, doubtful: bool, together: bool
     ) -> tuple[Keypoints | None, Keypoints | None]:
-        """The doubtful crops mirrored: of two candidates, both, as they may have been exchanged. And both as one hand,
-        LEFT and RIGHT, if they are `together`. In one call, for which the network reads its weights once."""
-        mirrored = [mirror_crop(crop) for crop in doubtful]
+        """Candidates mirrored, if `doubtful`: of two, both, as they may have been exchanged. And both as one hand, LEFT
+        and RIGHT, if they are `together`. In one call, for which the network reads its weights once."""
+        mirrored = [mirror_crop(crop) for crop in found.keypoints.crops] if doubtful else []
         merged = self._merged_crops(found) if together else []
         if not mirrored + merged:
             return None, None
         seen, count = self.stages.keypoints(mirrored + merged), len(mirrored)
         of_merged = seen.rows(range(count, count + len(merged))) if together else None
-        return seen.rows(range(count)) if count else None, of_merged
+        return seen.rows(range(count)) if doubtful else None, of_merged
 
     def _merged_crops(self, found: Detection) -> list[HandCrop]:
         """Both candidates as one hand, LEFT and RIGHT."""

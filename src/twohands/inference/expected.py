@@ -17,7 +17,7 @@ from twohands.types import HandPose, TwoHandPose
 FARTHEST: Final = (0.08, 0.15)
 """How far, as a share of the hand's size, its joints may lie on average from where they were expected, as the first and
 as the second pair of pose networks see them; farther, and HandSegNet looks, or the second pair once more (docs/history/
-journal.md, *What segmentation at rest cost*, *Real hands followed* and *What is known is not doubted anew*)."""
+journal.md, *What segmentation at rest cost*, *Real hands followed* and *Hands followed farther*)."""
 
 
 class Expected(NamedTuple):
@@ -62,8 +62,9 @@ class Expected(NamedTuple):
 
 
 def as_expected(pose: TwoHandPose, trail: Trail | None) -> bool:
-    """Whether the hands of a frame are those of the frames before, where they were expected as far as the first pair
-    of pose networks saw them: where they are not, to follow them would most likely have failed."""
+    """Whether hands may be followed from this frame on: the same sides are there as before, and hands that the first
+    pair of pose networks sees are where they were expected, without which following them would most likely have
+    failed. The second pair looks for its hands elsewhere, too."""
     if trail is None:
         return False
     pairs, expected, found_px = _pairs(pose), Expected.of(trail, clock(pose)), joints_of(pose)

@@ -44,9 +44,9 @@ def followed_hands(finder: HandFinder, trail: Trail, expected: Expected) -> Dete
     Returns:
         None where HandSegNet is to look: no hand can be followed (`followed_boxes`); or one is less likely a hand than
         none, by the card's last decision where the first pose networks see it, by what the second ones themselves say;
-        or it is not where it was expected (`FARTHEST`), nor by the second ones seen twice in another place; or nothing
-        is known of the range of one that these follow. Those that saw a hand see it again; where the first ones lose
-        theirs, the second are asked.
+        or it is not where it was expected (`FARTHEST`); or nothing is known of the range of one that the second ones
+        follow. Those that saw a hand see it again; where the first ones lose theirs, the second are asked. A hand that
+        the second ones saw before may be elsewhere, if they see it twice there (`_seen_twice`).
     """
     finder, expected_px = replace(finder, keep_masks=True), expected.joints_px
     boxes = followed_boxes(trail, expected_px, finder.size, finder.card)
@@ -57,11 +57,11 @@ def followed_hands(finder: HandFinder, trail: Trail, expected: Expected) -> Dete
     looked = Detection(masks, boxes, finder.looked(masks, boxes.boxes_px, crops))
     astray = (looked.keypoints.pairs == 1) & _strayed(expected_px[present], looked)
     seen = finder.recropped(looked, astray)
-    elsewhere = astray & ~_strayed(looked.keypoints.joints_px, seen)
+    elsewhere = astray & _seen_twice(finder, looked, seen, expected_px)
     found, lost = _first_judged(finder, trail, seen, expected_px)
     found = finder.seen_better(found, boxes.boxes_px, expected_px, lost=lost)
     gone = (found.keypoints.hand_logits < 0) | (_strayed(expected_px[present], found) & ~elsewhere)
-    if np.where(found.keypoints.pairs == 1, gone, lost).any() or _in_one_place(found.boxes, finder.card):
+    if np.where(found.keypoints.pairs == 1, gone, lost).any():
         return None
     return found._replace(followed=True)
 
@@ -69,6 +69,15 @@ def followed_hands(finder: HandFinder, trail: Trail, expected: Expected) -> Dete
 def _strayed(joints_px: np.ndarray, found: Detection) -> np.ndarray:
     """(B,) bool, whether hands are farther from joints (B, 21, 2) than the second pose networks may see them."""
     return strayed(joints_px, found.keypoints.joints_px) > FARTHEST[1]
+
+
+def _seen_twice(finder: HandFinder, looked: Detection, seen: Detection, expected_px: np.ndarray) -> np.ndarray:
+    """(B,) bool, which hands two looks see in one place, in the picture, and no nearer to where the other hand was
+    expected than to where they were, (2, 21, 2)."""
+    sides, joints_px = seen.keypoints.sides, seen.keypoints.joints_px
+    own, other = (strayed(expected_px[which], joints_px) for which in (sides, 1 - sides))
+    there = in_sight(joints_px, finder.size, finder.card.views.smallest_box_px)
+    return there & ~(other < own) & ~_strayed(looked.keypoints.joints_px, seen)
 
 
 def _first_judged(
@@ -118,12 +127,9 @@ def followed_boxes(
         return None
     boxes_px = np.full((2, 4), np.nan)
     boxes_px[present] = joint_boxes(expected_px[present], image_size, boxes_px[present], smallest_px)
-    boxes = HandBoxes(boxes_px, present, _scores(trail))
-    return None if _in_one_place(boxes, card) else boxes
-
-
-def _in_one_place(boxes: HandBoxes, card: WeightsCard) -> bool:
-    return bool(boxes.present.all() and box_iou(*boxes.boxes_px) >= card.decision.same_place_iou)
+    if present.all() and box_iou(*boxes_px) >= card.decision.same_place_iou:
+        return None
+    return HandBoxes(boxes_px, present, _scores(trail))
 
 
 def followed_assignment(trail: Trail, present: np.ndarray) -> Assignment:

@@ -69,12 +69,6 @@ class SideMemory:
         near = [np.zeros(len(boxes_px)) if track is None else track.nearness(middles, reach) for track in self.tracks]
         return np.stack(near, axis=1)
 
-    def goes_on(self, boxes_px: np.ndarray) -> np.ndarray:
-        """(2,) bool, whether LEFT and RIGHT of the next frame, boxes (2, 4), are those of the last one: a hand was seen
-        there, on that side."""
-        seen = np.array([track is not None and not track.unseen for track in self.tracks])
-        return seen & (self.nearness(boxes_px).diagonal() > _SAME)
-
     def left_logits(self, boxes_px: np.ndarray) -> np.ndarray:
         """What is known of hands before the frame is looked at.
 
