@@ -106,11 +106,12 @@ def test_in_a_clip_the_pair_counts_that_alone_sees_a_hand_where_it_was(
 
 class Two:
     """An estimator whose two pairs know the answer; the first is off by 3 pixels and has the scores that are given.
-    `seen` are the crops of either pair; the second one `shrinks` hands in the picture and sees them `off_px`."""
+    `seen` are the crops of either pair; the second one `shrinks` hands in the picture, or sees them where
+    `sees` says."""
 
     def __init__(self, scores=(0.5, 0.9), decision=TRUSTED, second_logit=4.0, shrinks=1.0, **second_card) -> None:
         self.seen: tuple[list[HandCrop], list[HandCrop]] = ([], [])
-        self.shrinks, self.off_px = shrinks, lambda: 0.0
+        self.shrinks, self.sees = shrinks, None
         self.hand_logits = (4.0, second_logit)
         card = make_card(hand_logit=True)
         card = dataclasses.replace(card, decision=dataclasses.replace(card.decision, **decision))
@@ -131,10 +132,11 @@ class Two:
 
         def read_out(maps, crops):
             joints_px, _ = plain.read_out(maps, crops)
-            off_px = np.array([self.off_px() if pair else 3.0, 0.0])
+            off_px = np.array([3.0 * (1 - pair), 0.0])
             if pair:
                 root_px = joints_px[:, ROOT, None]
                 joints_px = root_px + self.shrinks * (joints_px - root_px)
+                joints_px = joints_px if self.sees is None else np.array([self.sees(crop.side) for crop in crops])
             return joints_px + off_px, np.array([np.full(21, scores[crop.side]) for crop in crops])
 
         def lift(hands):
@@ -245,7 +247,7 @@ def test_a_followed_hand_of_the_second_pair_that_moved_otherwise_is_seen_once_mo
     assert again.followed and [crop.side for crop in two.seen[1]] == [LEFT, LEFT]
     np.testing.assert_allclose(again.left.joints_px, SAMPLE.joints_px[LEFT], atol=0.3)
     steps = iter(np.arange(9.0))
-    two.off_px = lambda: 0.2 * size_px * next(steps)
+    two.sees = lambda side: SAMPLE.joints_px[side] + np.array([0.2 * size_px * next(steps), 0.0])
     assert not followed(two, last).followed
 
 
@@ -255,13 +257,15 @@ def test_a_followed_hand_is_not_one_that_is_outside_the_picture_or_where_the_oth
     two = Two(scores=(0.5, 0.5))
     first = two.estimate()
     assert followed(two, first).followed and {hand.pair for hand in first.hands} == {1}
-    left, right = (
-        dataclasses.replace(hand, joints_px=other.joints_px)
-        for hand, other in zip(first.hands, first.hands[::-1], strict=True)
-    )
-    assert not followed(two, dataclasses.replace(first, left=left, right=right)).followed
-    two.off_px = lambda: -10.0 * SAMPLE.image.shape[1]
-    assert not followed(two, first).followed
+    along = SAMPLE.joints_px[RIGHT, ROOT] - SAMPLE.joints_px[LEFT, ROOT]
+    across = 10 * np.array([along[1], -along[0]])  # out of the picture, and no nearer to the other hand
+    for sees, there in (
+        (lambda side: SAMPLE.joints_px[side] + np.array([8.0, 6.0]), True),
+        (lambda side: SAMPLE.joints_px[1 - side], False),
+        (lambda side: SAMPLE.joints_px[side] + across, False),
+    ):
+        two.sees = sees
+        assert followed(two, first).followed == there
 
 
 def test_where_nothing_is_known_of_a_followed_hands_range_segmentation_looks():

@@ -75,7 +75,7 @@ def _seen_twice(finder: HandFinder, looked: Detection, seen: Detection, expected
     """(B,) bool, which hands two looks see in one place, in the picture, and no nearer to where the other hand was
     expected than to where they were, (2, 21, 2)."""
     sides, joints_px = seen.keypoints.sides, seen.keypoints.joints_px
-    own, other = (strayed(expected_px[which], joints_px) for which in (sides, 1 - sides))
+    own, other = (np.linalg.norm(expected_px[whose] - joints_px, axis=-1).mean(axis=-1) for whose in (sides, 1 - sides))
     there = in_sight(joints_px, finder.size, finder.card.views.smallest_box_px)
     return there & ~(other < own) & ~_strayed(looked.keypoints.joints_px, seen)
 
