@@ -71,9 +71,8 @@ def as_expected(pose: TwoHandPose, trail: Trail | None) -> bool:
     known = np.isfinite(expected.joints_px).all(axis=(1, 2))
     if (known != np.isfinite(found_px).all(axis=(1, 2))).any():
         return False
-    own_px = expected.seen_px[pairs, [LEFT, RIGHT]]
-    expected_px = np.where(np.isfinite(own_px), own_px, expected.joints_px)
-    there = (pairs > 0) | (strayed(expected_px, found_px) <= FARTHEST[0])
+    first_px = np.where(np.isfinite(expected.seen_px[0]), expected.seen_px[0], expected.joints_px)
+    there = (pairs > 0) | (strayed(first_px, found_px) <= FARTHEST[0])
     return bool(there[known].all())
 
 

@@ -55,18 +55,18 @@ def followed_hands(finder: HandFinder, trail: Trail, expected: Expected) -> Dete
     masks, present = moved_masks(trail, expected_px), np.flatnonzero(boxes.present)
     crops = finder.joint_crops(masks, boxes.boxes_px, expected_px[present], present, expected.pairs[present])
     looked = Detection(masks, boxes, finder.looked(masks, boxes.boxes_px, crops))
-    astray = (looked.keypoints.pairs == 1) & _strayed(expected_px[present], looked)
+    astray = (looked.keypoints.pairs == 1) & _far_from(expected_px[present], looked)
     seen = finder.recropped(looked, astray)
     elsewhere = astray & _seen_twice(finder, looked, seen, expected_px)
     found, lost = _first_judged(finder, trail, seen, expected_px)
     found = finder.seen_better(found, boxes.boxes_px, expected_px, lost=lost)
-    gone = (found.keypoints.hand_logits < 0) | (_strayed(expected_px[present], found) & ~elsewhere)
+    gone = (found.keypoints.hand_logits < 0) | (_far_from(expected_px[present], found) & ~elsewhere)
     if np.where(found.keypoints.pairs == 1, gone, lost).any():
         return None
     return found._replace(followed=True)
 
 
-def _strayed(joints_px: np.ndarray, found: Detection) -> np.ndarray:
+def _far_from(joints_px: np.ndarray, found: Detection) -> np.ndarray:
     """(B,) bool, whether hands are farther from joints (B, 21, 2) than the second pose networks may see them."""
     return strayed(joints_px, found.keypoints.joints_px) > FARTHEST[1]
 
@@ -77,7 +77,7 @@ def _seen_twice(finder: HandFinder, looked: Detection, seen: Detection, expected
     sides, joints_px = seen.keypoints.sides, seen.keypoints.joints_px
     own, other = (np.linalg.norm(expected_px[whose] - joints_px, axis=-1).mean(axis=-1) for whose in (sides, 1 - sides))
     there = in_sight(joints_px, finder.size, finder.card.views.smallest_box_px)
-    return there & ~(other < own) & ~_strayed(looked.keypoints.joints_px, seen)
+    return there & ~(other < own) & ~_far_from(looked.keypoints.joints_px, seen)
 
 
 def _first_judged(
