@@ -61,6 +61,9 @@ class ViewConfig:
     upright_within_deg: float = 180.0
     """How far from up a hand's fingers may point before PoseNet2D sees it again, as a camera does that is rolled so
     that they point up; and every further crop of it is rolled so. 180: none ever is."""
+    search_below_score: float = 0.0
+    """Mean score of its joints below which the second pose networks see a hand in every quarter turn; 0 never, 1
+    always."""
     turns_deg: tuple[float, ...] = ()
     """Turns of which a doubtful hand is seen in the one that brings its fingers nearest to up; the view with the surer
     joints counts."""

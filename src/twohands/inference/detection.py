@@ -43,6 +43,7 @@ from twohands.inference.weights import WeightsCard
 from twohands.skeleton import LEFT, N_JOINTS, RIGHT
 from twohands.types import HandCrop, PinholeCamera
 
+QUARTERS_DEG: Final = (90.0, 180.0, -90.0)
 NO_MAPS: Final = np.zeros((2, 1, 1))
 """Energies or leads of which nobody knows anything."""
 
@@ -200,11 +201,21 @@ class HandFinder:
     ) -> Keypoints:
         """Keypoints of the hands of B sides by the second pose networks; (B, 21, 2) joints, otherwise as
         `seen_better`."""
-        if joints_px is None:
-            crops = self.crops(masks, boxes_px, sides, pair=1)
-        else:
+        if joints_px is not None:
             crops = self.joint_crops(masks, boxes_px, joints_px, sides, np.ones(len(sides), int))
-        return self._uprighted(masks, boxes_px, self.stages.keypoints(crops))
+            return self._uprighted(masks, boxes_px, self.stages.keypoints(crops))
+        crops = self.crops(masks, boxes_px, sides, pair=1)
+        rolls_deg = self._last_rolls_deg(sides)
+        for row in np.flatnonzero(np.isfinite(rolls_deg)):
+            crops[row] = self._rolled_crop(masks, boxes_px, crops[row], float(rolls_deg[row]))
+        return self._searched(masks, boxes_px, self._uprighted(masks, boxes_px, self.stages.keypoints(crops)))
+
+    def _last_rolls_deg(self, sides: np.ndarray) -> np.ndarray:
+        """(B,) rolls of cameras that would see hands of B sides with the fingers up, as the second pose networks saw
+        them in the last frame; NaN where they did not."""
+        if self.expected is None or not self.stages.of_pair(1).card.views.upright:
+            return np.full(len(sides), np.nan)
+        return upright_roll_deg(self.expected.seen_px[1, sides])
 
     def joint_crops(
         self, masks: np.ndarray, boxes_px: np.ndarray, joints_px: np.ndarray, sides: np.ndarray, pairs: np.ndarray
@@ -241,14 +252,36 @@ class HandFinder:
         again = np.flatnonzero(seen & (np.abs(off_upright_deg(keypoints)) > within_deg))
         if not len(again):
             return keypoints
-        crops = []
-        for row in again:
-            side, stages = keypoints.crops[row].side, self.stages.of_pair(keypoints.crops[row].pair)
-            roll_deg = float(upright_roll_deg(keypoints.joints_px[row]))
-            around_px = ellipse_in(self._continued(boxes_px[side]))
-            box_px = rolled_hand_box(stages.card, around_px, self.size, self.camera, roll_deg)
-            crops.append(stages.crop(self.image, masks, box_px, side, self.camera, roll_deg))
+        rolls_deg = upright_roll_deg(keypoints.joints_px[again])
+        crops = [
+            self._rolled_crop(masks, boxes_px, keypoints.crops[row], float(roll_deg))
+            for row, roll_deg in zip(again, rolls_deg, strict=True)
+        ]
         return keypoints.replaced(again, self.stages.keypoints(crops))
+
+    def _searched(self, masks: np.ndarray, boxes_px: np.ndarray, keypoints: Keypoints) -> Keypoints:
+        """Hands of whose joints the networks are not sure (`ViewConfig.search_below_score`), seen in the same boxes by
+        cameras rolled by further quarters of a turn: of all views that with the surest joints counts, with the fingers
+        up. Who does not know the hand does not know where its fingers point either."""
+        floors = [self.stages.of_pair(crop.pair).card.views.search_below_score for crop in keypoints.crops]
+        rows = np.flatnonzero(keypoints.joint_scores.mean(axis=-1) < floors)
+        if not len(rows):
+            return keypoints
+        crops = [
+            self._rolled_crop(masks, boxes_px, keypoints.crops[row], keypoints.crops[row].roll_deg + quarter)
+            for quarter in QUARTERS_DEG
+            for row in rows
+        ]
+        views = Keypoints.joined([keypoints.rows(rows), self.stages.keypoints(crops)])
+        sureness = views.joint_scores.mean(axis=-1).reshape(-1, len(rows))
+        best = views.rows(sureness.argmax(axis=0) * len(rows) + np.arange(len(rows)))
+        return keypoints.replaced(rows, self._uprighted(masks, boxes_px, best))
+
+    def _rolled_crop(self, masks: np.ndarray, boxes_px: np.ndarray, crop: HandCrop, roll_deg: float) -> HandCrop:
+        """The box of a crop's hand, for its pose networks, as a camera sees it that is rolled so far."""
+        stages, around_px = self.stages.of_pair(crop.pair), ellipse_in(self._continued(boxes_px[crop.side]))
+        box_px = rolled_hand_box(stages.card, around_px, self.size, self.camera, roll_deg)
+        return stages.crop(self.image, masks, box_px, crop.side, self.camera, roll_deg)
 
     def decided(self, found: Detection, trail: Trail | None) -> Detection:
         """The hands that candidates with keypoints are, and where they help seen again.
