@@ -225,6 +225,16 @@ def test_a_hand_that_is_not_known_is_looked_for_in_every_quarter_turn():
     assert max(abs(crop.roll_deg) for crop in content.seen[1]) < 45
 
 
+def test_in_a_clip_the_second_pair_begins_with_the_turn_in_which_it_saw_a_hand_last():
+    two = Two(upright_within_deg=25.0)
+    first = two.estimate()
+    two.seen[1].clear()
+    again = two.estimate(Trail((first,), first), 1)
+    assert not again.followed and again.left.pair == 1
+    rolls = [crop.roll_deg for crop in two.seen[1] if crop.side == LEFT]
+    assert rolls == pytest.approx([upright_roll_deg(SAMPLE.joints_px)[LEFT]], abs=1)
+
+
 def upwards(crop: HandCrop) -> np.ndarray:
     """(21, 2) joints on a line from the bottom of a crop to its top."""
     line = np.stack([np.full(21, 48.0), np.linspace(80, 16, 21)], axis=-1)

@@ -44,6 +44,7 @@ from twohands.skeleton import LEFT, N_JOINTS, RIGHT
 from twohands.types import HandCrop, PinholeCamera
 
 QUARTERS_DEG: Final = (90.0, 180.0, -90.0)
+"""By which further turns a hand is looked for."""
 NO_MAPS: Final = np.zeros((2, 1, 1))
 """Energies or leads of which nobody knows anything."""
 
@@ -204,10 +205,11 @@ class HandFinder:
         if joints_px is not None:
             crops = self.joint_crops(masks, boxes_px, joints_px, sides, np.ones(len(sides), int))
             return self._uprighted(masks, boxes_px, self.stages.keypoints(crops))
-        crops = self.crops(masks, boxes_px, sides, pair=1)
-        rolls_deg = self._last_rolls_deg(sides)
-        for row in np.flatnonzero(np.isfinite(rolls_deg)):
-            crops[row] = self._rolled_crop(masks, boxes_px, crops[row], float(rolls_deg[row]))
+        plain, rolls_deg = self.crops(masks, boxes_px, sides, pair=1), self._last_rolls_deg(sides).tolist()
+        crops = [
+            crop if math.isnan(roll_deg) else self._rolled_crop(masks, boxes_px, crop, roll_deg)
+            for crop, roll_deg in zip(plain, rolls_deg, strict=True)
+        ]
         return self._searched(masks, boxes_px, self._uprighted(masks, boxes_px, self.stages.keypoints(crops)))
 
     def _last_rolls_deg(self, sides: np.ndarray) -> np.ndarray:
