@@ -20,6 +20,7 @@ from twohands.inference.estimator import HandEstimator
 from twohands.inference.keypoints import Keypoints
 from twohands.inference.range_sigma import with_sources
 from twohands.inference.second_look import knows_better, on_other_hand, second_features
+from twohands.inference.stages import StageTruth
 from twohands.inference.trail import Trail
 from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
 from twohands.types import HandCrop, TwoHandPose
@@ -223,6 +224,29 @@ def test_a_hand_that_is_not_known_is_looked_for_in_every_quarter_turn():
     assert [crop.roll_deg for crop in searching.seen[1] if crop.side == RIGHT] == [0], "it is known at once"
     np.testing.assert_allclose(pose.left.joints_px, SAMPLE.joints_px[LEFT], atol=0.3)
     assert max(abs(crop.roll_deg) for crop in content.seen[1]) < 45
+
+
+def test_each_of_two_hands_is_looked_for_in_its_own_turn():
+    """LEFT is known a quarter from the picture's turn, RIGHT half a turn from it, both where their fingers point up."""
+    two = Two(scores=(0.5, 0.5), upright_within_deg=25.0, search_below_score=0.8)
+    upright_deg = upright_roll_deg(SAMPLE.joints_px)
+
+    def knows(crop):
+        places = ((90.0, 180.0)[crop.side], upright_deg[crop.side])
+        return any(abs((crop.roll_deg - place + 180) % 360 - 180) < 5 for place in places)
+
+    two.knows = knows
+    for hand, joints_px in zip(two.estimate().hands, SAMPLE.joints_px, strict=True):
+        np.testing.assert_allclose(hand.joints_px, joints_px, atol=0.3)
+
+
+def test_a_known_box_outside_the_picture_is_not_looked_for():
+    """Named case: one beyond a corner left a crop without extent."""
+    two = Two(scores=(0.5, 0.5), upright_within_deg=25.0, search_below_score=0.8)
+    two.knows = lambda crop: False
+    outside = StageTruth(boxes_px=np.array([[-60.0, -60, -10, -10], [np.nan] * 4]))
+    two.estimator.estimate(SAMPLE.image, SAMPLE.camera, LENGTH_M, truth=outside)
+    assert len(two.seen[1]) <= 1
 
 
 def test_in_a_clip_the_second_pair_begins_with_the_turn_in_which_it_saw_a_hand_last():

@@ -99,6 +99,8 @@ def test_a_folder_is_taken_before_a_shipped_preset_of_its_name(tiny, tmp_path, m
         (lambda card: card["views"].update(tta_rolls_deg=15), "card: "),
         (lambda card: card["views"].update(tta_rolls_deg=[15, float("nan")]), "tta_rolls_deg must be angles"),
         (lambda card: card["views"].update(turns_deg=[float("inf")]), "turns_deg must be angles"),
+        (lambda card: card["views"].update(search_below_score=5), "search_below_score must lie in 0..1"),
+        (lambda card: card["views"].update(upright_within_deg=-1), "upright_within_deg must lie in 0..180"),
         (lambda card: card["placement"].update(range_errors=[0.04]), "range_errors must be"),
         (lambda card: card["placement"].update(range_errors=[0.04, 0]), "range_errors must be"),
         (lambda card: card["placement"].update(range_errors=0.04), "card: "),

@@ -62,8 +62,8 @@ class ViewConfig:
     """How far from up a hand's fingers may point before PoseNet2D sees it again, as a camera does that is rolled so
     that they point up; and every further crop of it is rolled so. 180: none ever is."""
     search_below_score: float = 0.0
-    """Mean score of its joints below which the second pose networks see a hand in every quarter turn; 0 never, 1
-    always."""
+    """Mean score of its joints below which the second pose networks see a hand in every quarter turn; 0 never
+    (docs/history/journal.md, *Looked for in every quarter turn*)."""
     turns_deg: tuple[float, ...] = ()
     """Turns of which a doubtful hand is seen in the one that brings its fingers nearest to up; the view with the surer
     joints counts."""
@@ -94,6 +94,9 @@ class ViewConfig:
                 raise CheckpointError(f"card: views.{name} must be angles, got {list(angles)}")
         if not 0 <= self.upright_within_deg <= 180:
             raise CheckpointError(f"card: views.upright_within_deg must lie in 0..180, got {self.upright_within_deg}")
+
+        if not 0 <= self.search_below_score <= 1:
+            raise CheckpointError(f"card: views.search_below_score must lie in 0..1, got {self.search_below_score}")
 
     @property
     def upright(self) -> bool:

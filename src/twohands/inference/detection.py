@@ -205,11 +205,13 @@ class HandFinder:
         if joints_px is not None:
             crops = self.joint_crops(masks, boxes_px, joints_px, sides, np.ones(len(sides), int))
             return self._uprighted(masks, boxes_px, self.stages.keypoints(crops))
-        plain, rolls_deg = self.crops(masks, boxes_px, sides, pair=1), self._last_rolls_deg(sides).tolist()
-        crops = [
-            crop if math.isnan(roll_deg) else self._rolled_crop(masks, boxes_px, crop, roll_deg)
-            for crop, roll_deg in zip(plain, rolls_deg, strict=True)
-        ]
+        rolls_deg = np.where(self._shown(boxes_px, sides), self._last_rolls_deg(sides), np.nan)
+        crops: list[HandCrop] = []
+        for side, roll_deg in zip(sides.tolist(), rolls_deg.tolist(), strict=True):
+            if math.isnan(roll_deg):
+                crops += self.crops(masks, boxes_px, np.array([side]), pair=1)
+            else:
+                crops.append(self._rolled_crop(masks, boxes_px, side, 1, roll_deg))
         return self._searched(masks, boxes_px, self._uprighted(masks, boxes_px, self.stages.keypoints(crops)))
 
     def _last_rolls_deg(self, sides: np.ndarray) -> np.ndarray:
@@ -256,22 +258,24 @@ class HandFinder:
             return keypoints
         rolls_deg = upright_roll_deg(keypoints.joints_px[again])
         crops = [
-            self._rolled_crop(masks, boxes_px, keypoints.crops[row], float(roll_deg))
+            self._rolled_crop(masks, boxes_px, keypoints.crops[row].side, keypoints.crops[row].pair, float(roll_deg))
             for row, roll_deg in zip(again, rolls_deg, strict=True)
         ]
         return keypoints.replaced(again, self.stages.keypoints(crops))
 
     def _searched(self, masks: np.ndarray, boxes_px: np.ndarray, keypoints: Keypoints) -> Keypoints:
         """Hands of whose joints the networks are not sure (`ViewConfig.search_below_score`), seen in the same boxes by
-        cameras rolled by further quarters of a turn: of all views that with the surest joints counts, with the fingers
-        up. Who does not know the hand does not know where its fingers point either."""
-        floors = [self.stages.of_pair(crop.pair).card.views.search_below_score for crop in keypoints.crops]
-        rows = np.flatnonzero(keypoints.joint_scores.mean(axis=-1) < floors)
+        cameras rolled by further quarters of a turn. The view with the surest joints counts, seen once more with the
+        fingers up where they are not. Who does not know the hand does not know where its fingers point either."""
+        seen = keypoints.crops
+        floors = [self.stages.of_pair(crop.pair).card.views.search_below_score for crop in seen]
+        unsure = (keypoints.joint_scores.mean(axis=-1) < floors) & self._shown(boxes_px, keypoints.sides)
+        rows = np.flatnonzero(unsure)
         if not len(rows):
             return keypoints
         crops = [
-            self._rolled_crop(masks, boxes_px, keypoints.crops[row], keypoints.crops[row].roll_deg + quarter)
-            for quarter in QUARTERS_DEG
+            self._rolled_crop(masks, boxes_px, seen[row].side, seen[row].pair, seen[row].roll_deg + quarter_deg)
+            for quarter_deg in QUARTERS_DEG
             for row in rows
         ]
         views = Keypoints.joined([keypoints.rows(rows), self.stages.keypoints(crops)])
@@ -279,11 +283,15 @@ class HandFinder:
         best = views.rows(sureness.argmax(axis=0) * len(rows) + np.arange(len(rows)))
         return keypoints.replaced(rows, self._uprighted(masks, boxes_px, best))
 
-    def _rolled_crop(self, masks: np.ndarray, boxes_px: np.ndarray, crop: HandCrop, roll_deg: float) -> HandCrop:
-        """The box of a crop's hand, for its pose networks, as a camera sees it that is rolled so far."""
-        stages, around_px = self.stages.of_pair(crop.pair), ellipse_in(self._continued(boxes_px[crop.side]))
+    def _shown(self, boxes_px: np.ndarray, sides: np.ndarray) -> np.ndarray:
+        """(B,) bool, whether there is something to see of the boxes of B sides: a known one may lie elsewhere."""
+        return in_sight(boxes_px[sides].reshape(-1, 2, 2), self.size, self.card.views.smallest_box_px)
+
+    def _rolled_crop(self, masks: np.ndarray, boxes_px: np.ndarray, side: int, pair: int, roll_deg: float) -> HandCrop:
+        """The box of a side's hand, for a pair of pose networks, as a camera sees it that is rolled so far."""
+        stages, around_px = self.stages.of_pair(pair), ellipse_in(self._continued(boxes_px[side]))
         box_px = rolled_hand_box(stages.card, around_px, self.size, self.camera, roll_deg)
-        return stages.crop(self.image, masks, box_px, crop.side, self.camera, roll_deg)
+        return stages.crop(self.image, masks, box_px, side, self.camera, roll_deg)
 
     def decided(self, found: Detection, trail: Trail | None) -> Detection:
         """The hands that candidates with keypoints are, and where they help seen again.
