@@ -8,7 +8,6 @@ import pytest
 
 from twohands.geometry.segmentation import BoxEvidence, box_evidence, class_leads, log_odds, probability
 from twohands.inference.decision import FIRST_FEATURES, LAST_FEATURES, DecisionConfig
-from twohands.inference.detection import corrected_masks
 from twohands.inference.handedness import (
     ANSWERS,
     KEPT,
@@ -22,6 +21,7 @@ from twohands.inference.handedness import (
     probabilities,
     rescore,
 )
+from twohands.inference.segmenter import corrected_masks
 from twohands.types import HandPose, PinholeCamera, TwoHandPose
 
 NO = np.nan

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from twohands.geometry.boxes import box_in_picture, box_iou, continued_box, ellipse_in, upright_roll_deg
-from twohands.geometry.segmentation import UNCERTAIN, HandBoxes, as_one_hand, box_evidence, probability
+from twohands.geometry.segmentation import HandBoxes, as_one_hand, box_evidence, probability
 from twohands.inference.expected import FARTHEST, Expected, strayed
 from twohands.inference.handedness import (
     UNCHECKED,
@@ -34,6 +34,7 @@ from twohands.inference.keypoints import (
     rolled_hand_box,
 )
 from twohands.inference.second_look import MOST_ASTRAY, knows_better, on_other_hand
+from twohands.inference.segmenter import corrected_masks
 from twohands.inference.side_decision import assign_in_clip
 from twohands.inference.side_keeping import NOTHING_KNOWN
 from twohands.inference.stages import Stages
@@ -444,30 +445,3 @@ class HandFinder:
         boxes_px = found.boxes.boxes_px
         masks = found.masks if self.keep_masks else corrected_masks(found.masks, source, boxes_px)
         return masks, HandBoxes(np.where((source >= 0)[:, None], boxes_px[source], np.nan), source >= 0, scores)
-
-
-def corrected_masks(masks: np.ndarray, source: np.ndarray, boxes_px: np.ndarray) -> np.ndarray:
-    """Masks that agree with the answer.
-
-    Args:
-        masks: (H, W) uint8, as `masks_from_logits` gives them, by HandSegNet's candidates.
-        source: (2,) as in `Assignment`.
-        boxes_px: (2, 4) u0, v0, u1, v1 of the candidates; NaN where there was none.
-
-    Returns:
-        The same array if nothing changes; else a new one, in which each candidate's pixels bear the class of the hand
-        that it is. The pixels of a candidate that is no hand go to a hand whose box meets its own, else to the
-        background.
-    """
-    classes = np.arange(1 + 2 * UNCERTAIN, dtype=np.uint8)
-    for candidate in np.flatnonzero(np.isfinite(boxes_px).all(axis=1)):
-        owners, others = np.flatnonzero(source == candidate), np.flatnonzero(source == 1 - candidate)
-        if len(owners):
-            classes[1 + candidate] = 1 + owners[0]
-        elif len(others) and box_iou(*boxes_px) > 0:
-            classes[1 + candidate] = 1 + others[0]
-        else:
-            classes[1 + candidate] = 0
-    for known in (1 + LEFT, 1 + RIGHT):
-        classes[known + UNCERTAIN] = classes[known] + UNCERTAIN if classes[known] else 0
-    return masks if classes.tolist() == list(range(len(classes))) else classes[masks]

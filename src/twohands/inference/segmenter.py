@@ -13,9 +13,11 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from twohands.geometry.boxes import box_iou
 from twohands.geometry.network_input import canvas_size, letterbox, network_input
 from twohands.geometry.picture_turn import turn_logits
 from twohands.geometry.segmentation import (
+    UNCERTAIN,
     HandBoxes,
     box_evidence,
     boxes_from_energy,
@@ -30,6 +32,7 @@ from twohands.geometry.segmentation import (
 )
 from twohands.inference.decision import PictureView, ViewConfig
 from twohands.inference.weights import WeightsCard
+from twohands.skeleton import LEFT, RIGHT
 
 HandSegNet = Callable[[np.ndarray], tuple[np.ndarray, ...]]
 
@@ -190,3 +193,30 @@ def candidate_boxes(
 def hand_masks(card: WeightsCard, maps: HandMaps, image_size: tuple[int, int], present: np.ndarray) -> np.ndarray:
     """(H, W) uint8 `masks_from_logits` of the hands, (2,) bool, that are there."""
     return masks_from_logits(maps.seg_logits, image_size, present, card.views.uncertain_lead)
+
+
+def corrected_masks(masks: np.ndarray, source: np.ndarray, boxes_px: np.ndarray) -> np.ndarray:
+    """Masks that agree with the answer.
+
+    Args:
+        masks: (H, W) uint8, as `masks_from_logits` gives them, by HandSegNet's candidates.
+        source: (2,) as in `Assignment`.
+        boxes_px: (2, 4) u0, v0, u1, v1 of the candidates; NaN where there was none.
+
+    Returns:
+        The same array if nothing changes; else a new one, in which each candidate's pixels bear the class of the hand
+        that it is. The pixels of a candidate that is no hand go to a hand whose box meets its own, else to the
+        background.
+    """
+    classes = np.arange(1 + 2 * UNCERTAIN, dtype=np.uint8)
+    for candidate in np.flatnonzero(np.isfinite(boxes_px).all(axis=1)):
+        owners, others = np.flatnonzero(source == candidate), np.flatnonzero(source == 1 - candidate)
+        if len(owners):
+            classes[1 + candidate] = 1 + owners[0]
+        elif len(others) and box_iou(*boxes_px) > 0:
+            classes[1 + candidate] = 1 + others[0]
+        else:
+            classes[1 + candidate] = 0
+    for known in (1 + LEFT, 1 + RIGHT):
+        classes[known + UNCERTAIN] = classes[known] + UNCERTAIN if classes[known] else 0
+    return masks if classes.tolist() == list(range(len(classes))) else classes[masks]
