@@ -94,7 +94,6 @@ class ViewConfig:
                 raise CheckpointError(f"card: views.{name} must be angles, got {list(angles)}")
         if not 0 <= self.upright_within_deg <= 180:
             raise CheckpointError(f"card: views.upright_within_deg must lie in 0..180, got {self.upright_within_deg}")
-
         if not 0 <= self.search_below_score <= 1:
             raise CheckpointError(f"card: views.search_below_score must lie in 0..1, got {self.search_below_score}")
 

@@ -212,7 +212,7 @@ class HandFinder:
             if math.isnan(roll_deg):
                 crops += self.crops(masks, boxes_px, np.array([side]), pair=1)
             else:
-                crops.append(self._rolled_crop(masks, boxes_px, side, 1, roll_deg))
+                crops.append(self._rolled_crop(masks, self._around(boxes_px[side]), side, 1, roll_deg))
         return self._searched(masks, boxes_px, self._uprighted(masks, boxes_px, self.stages.keypoints(crops)))
 
     def _last_rolls_deg(self, sides: np.ndarray) -> np.ndarray:
@@ -237,11 +237,8 @@ class HandFinder:
         crops, rolls_deg = [], upright_roll_deg(joints_px)
         seen = in_sight(joints_px, self.size, self.card.views.smallest_box_px)
         for row, (side, pair) in enumerate(zip(sides.tolist(), pairs.tolist(), strict=True)):
-            stages = self.stages.of_pair(pair)
-            if seen[row] and stages.card.views.upright:
-                roll_deg = float(rolls_deg[row])
-                box_px = rolled_hand_box(stages.card, joints_px[row], self.size, self.camera, roll_deg)
-                crops.append(stages.crop(self.image, masks, box_px, side, self.camera, roll_deg))
+            if seen[row] and self.stages.of_pair(pair).card.views.upright:
+                crops.append(self._rolled_crop(masks, joints_px[row], side, pair, float(rolls_deg[row])))
             else:
                 crops += self.crops(masks, boxes_px, np.array([side]), pair=pair)
         return crops
@@ -259,25 +256,24 @@ class HandFinder:
             return keypoints
         rolls_deg = upright_roll_deg(keypoints.joints_px[again])
         crops = [
-            self._rolled_crop(masks, boxes_px, keypoints.crops[row].side, keypoints.crops[row].pair, float(roll_deg))
-            for row, roll_deg in zip(again, rolls_deg, strict=True)
+            self._rolled_crop(masks, self._around(boxes_px[crop.side]), crop.side, crop.pair, roll_deg)
+            for crop, roll_deg in zip((keypoints.crops[row] for row in again), rolls_deg.tolist(), strict=True)
         ]
         return keypoints.replaced(again, self.stages.keypoints(crops))
 
     def _searched(self, masks: np.ndarray, boxes_px: np.ndarray, keypoints: Keypoints) -> Keypoints:
-        """Hands of whose joints the networks are not sure (`ViewConfig.search_below_score`), seen in the same boxes by
-        cameras rolled by further quarters of a turn. The view with the surest joints counts, seen once more with the
-        fingers up where they are not. Who does not know the hand does not know where its fingers point either."""
-        seen = keypoints.crops
-        floors = [self.stages.of_pair(crop.pair).card.views.search_below_score for crop in seen]
-        unsure = (keypoints.joint_scores.mean(axis=-1) < floors) & self._shown(boxes_px, keypoints.sides)
-        rows = np.flatnonzero(unsure)
+        """Hands of whose joints the second pose networks are not sure (`ViewConfig.search_below_score`), seen in the
+        same boxes by cameras rolled by further quarters of a turn. The view with the surest joints counts, seen once
+        more with the fingers up where they are not. Who does not know the hand does not know where its fingers point
+        either."""
+        unsure = keypoints.joint_scores.mean(axis=-1) < self.stages.of_pair(1).card.views.search_below_score
+        rows = np.flatnonzero(unsure & self._shown(boxes_px, keypoints.sides))
         if not len(rows):
             return keypoints
         crops = [
-            self._rolled_crop(masks, boxes_px, seen[row].side, seen[row].pair, seen[row].roll_deg + quarter_deg)
+            self._rolled_crop(masks, self._around(boxes_px[crop.side]), crop.side, 1, crop.roll_deg + quarter_deg)
             for quarter_deg in QUARTERS_DEG
-            for row in rows
+            for crop in (keypoints.crops[row] for row in rows)
         ]
         views = Keypoints.joined([keypoints.rows(rows), self.stages.keypoints(crops)])
         sureness = views.joint_scores.mean(axis=-1).reshape(-1, len(rows))
@@ -288,10 +284,15 @@ class HandFinder:
         """(B,) bool, whether there is something to see of the boxes of B sides: a known one may lie elsewhere."""
         return in_sight(boxes_px[sides].reshape(-1, 2, 2), self.size, self.card.views.smallest_box_px)
 
-    def _rolled_crop(self, masks: np.ndarray, boxes_px: np.ndarray, side: int, pair: int, roll_deg: float) -> HandCrop:
-        """The box of a side's hand, for a pair of pose networks, as a camera sees it that is rolled so far."""
-        stages, around_px = self.stages.of_pair(pair), ellipse_in(self._continued(boxes_px[side]))
-        box_px = rolled_hand_box(stages.card, around_px, self.size, self.camera, roll_deg)
+    def _around(self, box_px: np.ndarray) -> np.ndarray:
+        """Points around a hand's box (4,), which may go on beyond the picture's edge."""
+        return ellipse_in(self._continued(box_px))
+
+    def _rolled_crop(self, masks: np.ndarray, points_px: np.ndarray, side: int, pair: int, roll_deg: float) -> HandCrop:
+        """A side's hand, whose points are (N, 2), for a pair of pose networks, as a camera sees it that is rolled so
+        far."""
+        stages = self.stages.of_pair(pair)
+        box_px = rolled_hand_box(stages.card, points_px, self.size, self.camera, roll_deg)
         return stages.crop(self.image, masks, box_px, side, self.camera, roll_deg)
 
     def decided(self, found: Detection, trail: Trail | None) -> Detection:
