@@ -121,7 +121,8 @@ class HandEstimator:
     ) -> TwoHandPose:
         """`estimate` of a picture that is taken for upright."""
         expected = None if trail is None else Expected.of(trail, index if time_s is None else time_s)
-        finder = HandFinder(self.stages, self.card, image, camera, truth.masks is not None, expected)
+        keep_masks = truth.masks is not None
+        finder = HandFinder(self.stages, self.card, image, camera, expected, keep_masks=keep_masks)
         found, said = None, None
         rests = self.card.decides and truth.replaces_nothing
         if trail is not None and expected is not None and trail.may_rest and rests:
