@@ -40,6 +40,7 @@ from scipy.special import logsumexp
 from twohands.datasets.digits import Digits
 from twohands.errors import InputError, TwoHandsError
 from twohands.files import write_whole
+from twohands.geometry.body import Body
 from twohands.geometry.boxes import apply_homography, box_from_points
 from twohands.geometry.camera import project
 from twohands.geometry.segmentation import BoxEvidence
@@ -72,6 +73,9 @@ NEAR: Final = 0.4
 """A hand is a true one whose palm is nearer than this, as a share of the true one's longer side."""
 PENALTY: Final = 10.0
 """Of half the square of a weight times its feature's standard deviation; 1 and 30 are alike in pictures held out."""
+GIVEN: Final[dict[str, float]] = {"body": 2.0, "merged_body": 2.0}
+"""Weights that are not fitted, of whether a body's hand should be there. Networks that learnt from rendered people know
+these better than real ones, and networks of bodies worse (docs/history/journal.md, *Bodies*)."""
 FOLDS: Final = 5
 TOUCHING: Final = 0.75
 """Distance of their palms, in sides of the larger hand's box, below which two hands are near each other: people keep
@@ -297,8 +301,9 @@ def judged_by(own: HandEstimator, judge: HandEstimator) -> HandEstimator:
 
 def seen(estimator: HandEstimator, sample: HandSample, kind: str, scene: int, earlier: int) -> Seen:
     """Looks at one picture, and at what would be left of it after every answer."""
-    masks, boxes = estimator.segment(sample.image)
-    finder = HandFinder(estimator.stages, estimator.card, sample.image, sample.camera)
+    body = estimator.body(sample.image)
+    masks, boxes = estimator.segment(sample.image, body=body)
+    finder = HandFinder(estimator.stages, estimator.card, sample.image, sample.camera, body=body)
     sides = np.flatnonzero(boxes.present)
     last, distance = np.full((len(ANSWERS), 2, 3), np.nan), np.full(len(ANSWERS), np.inf)
     boxes_px, outcome = np.full((len(ANSWERS), 2, 4), np.nan), np.zeros((len(ANSWERS), 2), int)
@@ -389,7 +394,8 @@ def fitted_first(known: Sequence[tuple[Seen, Before | None]], config: DecisionCo
     features = [first_features(replace(one.evidence, before=before)) for one, before in known]
     looks = zip(known, features, strict=True)
     right = [right_answers(one.outcome, np.isfinite(rows[:, 0])) for (one, _), rows in looks]
-    return replace(config, first=named(likeliest(Choices(np.array(features), np.array(right))), FIRST_FEATURES))
+    given = np.array([GIVEN.get(name, np.nan) for name in FIRST_FEATURES])
+    return replace(config, first=named(likeliest(Choices(np.array(features), np.array(right)), given), FIRST_FEATURES))
 
 
 def fitted_last(known: Sequence[tuple[Seen, Before | None]], config: DecisionConfig) -> DecisionConfig:
@@ -411,16 +417,19 @@ def right_answers(outcome: np.ndarray, possible: np.ndarray) -> np.ndarray:
     return count == count.max()
 
 
-def likeliest(choices: Choices) -> np.ndarray:
-    """(F,) weights of the largest penalised likelihood that one of the right answers is the answer."""
+def likeliest(choices: Choices, given: np.ndarray | None = None) -> np.ndarray:
+    """(F,) weights of the largest penalised likelihood that one of the right answers is the answer; those that are
+    `given`, (F,), as they are, NaN for one to be fitted; None for all."""
+    given = np.full(choices.features.shape[-1], np.nan) if given is None else given
     possible = np.isfinite(choices.features[..., 0])
     open_ones = possible.sum(axis=1) > 1
     features, right, possible = choices.features[open_ones], choices.right[open_ones], possible[open_ones]
     if not len(features):
         raise InputError("no picture with a candidate: there is nothing to fit")
     spread = np.maximum(features[possible].std(axis=0), 1e-9)
-    features = np.where(possible[..., None], features, 0.0) / spread
-    offset = np.where(possible, 0.0, -np.inf)
+    features = np.where(possible[..., None], features, 0.0)
+    offset = np.where(possible, features @ np.nan_to_num(given), -np.inf)
+    features = np.where(np.isnan(given), features, 0.0) / spread
 
     def loss(weights: np.ndarray) -> tuple[float, np.ndarray]:
         scores = features @ weights + offset
@@ -431,7 +440,7 @@ def likeliest(choices: Choices) -> np.ndarray:
         return value, np.einsum("na,naf->f", pull, features) + PENALTY * weights
 
     found = minimize(loss, np.zeros(features.shape[-1]), jac=True, method="L-BFGS-B", options={"maxiter": 2000})
-    return found.x / spread
+    return np.where(np.isnan(given), found.x / spread, given)
 
 
 def named(weights: np.ndarray, names: Sequence[str]) -> dict[str, float]:
@@ -543,6 +552,7 @@ ARRAYS: Final[dict[str, Callable[[Seen], object]]] = {
     "check": lambda one: one.evidence.check,
     "merged_check": lambda one: one.evidence.merged_check,
     "palm_distance": lambda one: one.evidence.palm_distance,
+    "body": lambda one: _body_row(one.evidence.body),
 } | {f.name: lambda one, name=f.name: getattr(one.evidence.maps, name) for f in fields(BoxEvidence)}
 """What the cache holds of every picture."""
 
@@ -575,9 +585,23 @@ def _picture(row: dict[str, np.ndarray]) -> Seen:
     size = int(row["image_size"][0]), int(row["image_size"][1])
     distance = float(row["palm_distance"])
     checks = row["check"], row["merged_check"]
-    evidence = Evidence(size, row["boxes_px"], maps, row["pose"], row["joints"], *together, distance, None, *checks)
+    said = maps, row["pose"], row["joints"], *together, distance, None, *checks, _body(row["body"])
+    evidence = Evidence(size, row["boxes_px"], *said)
     numbers = row["last"], row["distance"], row["answer_boxes_px"], row["outcome"], int(row["earlier"])
     return Seen(str(row["kind"]), int(row["scene"]), row["present"], evidence, *numbers)
+
+
+def _body_row(body: Body | None) -> np.ndarray:
+    """(18,) a body as the cache holds it; NaN for none."""
+    return np.full(18, np.nan) if body is None else np.concatenate([np.ravel(part) for part in body])
+
+
+def _body(row: np.ndarray) -> Body | None:
+    """The body of a row (18,) of the cache."""
+    if np.isnan(row).any():
+        return None
+    palms_px, boxes_px, visible, around_px = np.split(row, [4, 12, 14])
+    return Body(palms_px.reshape(2, 2), boxes_px.reshape(2, 4), visible, around_px.reshape(2, 2))
 
 
 def _or_nan(values: np.ndarray | None) -> np.ndarray:

@@ -269,6 +269,8 @@ class TwoHandPose:
         turn_logits: (4,) log-odds, against each other, that the picture is an upright one turned by 0 to 3 quarters,
             counter-clockwise, as this picture alone says; None where nobody says; for the next frame of a video, not
             exported.
+        around_px: (2, 2) middle of the person's body and a point at its end, in pixels; None where there is none; for
+            the next frame of a video, not exported.
     """
 
     left: HandPose
@@ -280,6 +282,7 @@ class TwoHandPose:
     followed: bool = False
     crop_masks: np.ndarray | None = field(default=None, repr=False)
     turn_logits: np.ndarray | None = field(default=None, repr=False)
+    around_px: np.ndarray | None = field(default=None, repr=False)
 
     @property
     def hands(self) -> tuple[HandPose, HandPose]:

@@ -6,6 +6,7 @@ import itertools
 import numpy as np
 import pytest
 
+from twohands.geometry.body import Body
 from twohands.geometry.segmentation import BoxEvidence, box_evidence, class_leads, log_odds, probability
 from twohands.inference.decision import FIRST_FEATURES, LAST_FEATURES, DecisionConfig
 from twohands.inference.handedness import (
@@ -50,7 +51,8 @@ def random_evidence(rng, *, merged: bool, alone: bool) -> Evidence:
     together = (rng.normal(0, 4, 2), rng.uniform(0.5, 1, 2)) if merged else (None, None)
     before = Before(boxes_px[::-1] + rng.normal(0, 3, (2, 4)), np.array([rng.normal(), NO]))
     joints = np.where(np.isnan(pose), NO, 0.9 * pose**2 / (1 + pose**2))
-    return Evidence(SIZE, boxes_px, maps, pose, joints, *together, rng.uniform(0, 1.5), before)
+    body = Body(rng.uniform(0, 100, (2, 2)), np.zeros((2, 4)), rng.uniform(0, 1, 2), np.zeros((2, 2)))
+    return Evidence(SIZE, boxes_px, maps, pose, joints, *together, rng.uniform(0, 1.5), before, body=body)
 
 
 def mirrored_boxes(boxes_px):
@@ -58,6 +60,11 @@ def mirrored_boxes(boxes_px):
     flipped = boxes_px[::-1].copy()
     flipped[:, [0, 2]] = SIZE[1] - flipped[:, [2, 0]]
     return flipped
+
+
+def mirrored_body(body: Body) -> Body:
+    palms_px = body.palms_px[::-1] * [-1, 1] + [SIZE[1], 0]
+    return body._replace(palms_px=palms_px, visible=body.visible[::-1])
 
 
 def mirrored(given: Evidence) -> Evidence:
@@ -73,6 +80,7 @@ def mirrored(given: Evidence) -> Evidence:
         joints=given.joints[::-1, ::-1],
         merged_pose=None if given.merged_pose is None else given.merged_pose[::-1],
         merged_joints=None if given.merged_joints is None else given.merged_joints[::-1],
+        body=None if given.body is None else mirrored_body(given.body),
         before=None if before is None else Before(mirrored_boxes(before.boxes_px), before.logits[::-1]),
     )
 
@@ -134,7 +142,9 @@ def test_features_of_a_hand_by_hand():
     pose, joints = np.array([[5.0, NO], [8.0, NO]]), np.array([[0.9, NO], [0.7, NO]])
     boxes_px = np.array([[20.0, 10, 60, 50], [NO] * 4])
     before = Before(np.array([[20.0, 10, 60, 30], [200.0, 0, 210, 9]]), np.array([2.0, 9.0]))
-    rows = first_features(Evidence(SIZE, boxes_px, maps, pose, joints, before=before))
+    palms_px = np.array([[40.0, 30], [40, 54]])  # in the middle of the box, and a share of .6 of its side beside it
+    body = Body(palms_px, np.zeros((2, 4)), np.array([0.5, 0.9]), np.zeros((2, 2)))
+    rows = first_features(Evidence(SIZE, boxes_px, maps, pose, joints, before=before, body=body))
     of = dict(zip(FIRST_FEATURES, rows[ANSWERS.index((0, -1))], strict=True))
     expected = {"hand": 1, "energy": 1, "energy_other": -2, "lead": 3, "lead_other": 6, "share": np.log(5)}
     expected |= {
@@ -147,6 +157,7 @@ def test_features_of_a_hand_by_hand():
         "size": 0,
     }
     expected |= {"arm_outside": 0.5, "arm_below": 0.8, "arm_outside_below": 0.4, "outside": 0.3}
+    expected |= {"body": 0.5, "body_side": 0.5 - 0.9 / np.e, "body_both": 0.9 / np.e}
     expected |= {"was_present": 1, "held": 1.0, "held_other": 0, "check_unseen": 1}
     assert of == pytest.approx(dict.fromkeys(FIRST_FEATURES, 0.0) | expected)
     assert np.isnan(rows[[i for i, source in enumerate(ANSWERS) if 1 in source]]).all()

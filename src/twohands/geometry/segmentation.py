@@ -60,6 +60,7 @@ class HandBoxes:
         scores: (2,) how sure it is that each hand is there, 0..1.
         evidence: what the maps say in these boxes; None where no maps were read.
         parted: whether one side's map shows both hands (`parted_boxes`), so that the masks do not tell them apart.
+        guessed: (2,) bool, boxes where nothing was seen, but a hand should be; None for none.
     """
 
     boxes_px: np.ndarray
@@ -67,6 +68,7 @@ class HandBoxes:
     scores: np.ndarray
     evidence: BoxEvidence | None = None
     parted: bool = False
+    guessed: np.ndarray | None = None
 
 
 def masks_from_logits(

@@ -11,6 +11,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from twohands.geometry.body import Body
 from twohands.geometry.boxes import box_in_picture, box_iou
 from twohands.geometry.segmentation import HandBoxes, as_one_hand, box_evidence, probability
 from twohands.inference.expected import FARTHEST, strayed
@@ -85,9 +86,11 @@ class HandFinder(HandLooker):
 
     Attributes:
         keep_masks: whether masks are known and stay as they are.
+        body: of the person; None where there is none.
     """
 
     keep_masks: bool = False
+    body: Body | None = None
 
     def seen_better(
         self,
@@ -188,7 +191,7 @@ class HandFinder(HandLooker):
         doubtful = doubtful or merged is not None
         checks = self._checked(seen, merged) if doubtful else np.full((3, 2), np.nan)
         maps = boxes.evidence or box_evidence(NO_MAPS, NO_MAPS, np.full((2, 4), np.nan), (1, 1))
-        said = {"check": checks[:2], "merged_check": checks[2]}
+        said = {"check": checks[:2], "merged_check": checks[2], "body": self.body}
         known = Evidence(self.size, boxes.boxes_px, maps, pose, joints, *together, distance, before, **said)
         return known, CandidateViews(alone, merged)
 

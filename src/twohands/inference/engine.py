@@ -19,14 +19,17 @@ import numpy as np
 
 from twohands.errors import CheckpointError
 from twohands.geometry.picture_turn import TURN_MAPS
+from twohands.inference.body import BodyNetworks
 from twohands.inference.int8 import quantise
-from twohands.inference.runtime import open_core, read_network
-from twohands.inference.weights import HAND_CHECK, WeightsCard, network_files, read_card, second_folder
+from twohands.inference.runtime import import_openvino, open_core, read_network
+from twohands.inference.weights import BODY_NETWORKS, HAND_CHECK, WeightsCard, network_files, read_card, second_folder
 from twohands.skeleton import N_JOINTS
 
 HEAVY_LAYERS = ("Convolution", "FullyConnected", "MatMul")
 """OpenVINO's names of the layers that take nearly all the time."""
 
+FINDER_SHAPE, JOINTS_SHAPE = (224, 2254, 2254), (256, 195, 1)
+"""Second dimensions of what the published networks of bodies take and give."""
 NO_PEAKS: Final[Mapping[str, float]] = MappingProxyType({})
 
 
@@ -39,12 +42,14 @@ class SecondNetworks:
         pose_net_2d, pose_net_3d: as in `Networks`.
         hand_check: (B, 3, S, S) -> (B, 2) log-odds that crops show a hand, and a left one (`models.hand_check`); None
             without.
+        body: of people's bodies; None without.
     """
 
     card: WeightsCard
     pose_net_2d: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
     pose_net_3d: Callable[[np.ndarray], np.ndarray]
     hand_check: Callable[[np.ndarray], np.ndarray] | None = None
+    body: BodyNetworks | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,15 +76,16 @@ class Networks:
 
 
 class OpenVinoNetwork:
-    """One ONNX file, compiled for the CPU, called like a function, from as many threads as one likes.
+    """One ONNX or TensorFlow Lite file, compiled for the CPU, called like a function, from any number of threads.
 
     The arithmetic is int8 where the peaks of the activations are known, else float32, also where the processor has
     units for bfloat16: hands that are in the balance would be found on one machine and not on another.
 
     Args:
-        path: the ONNX file.
-        input_channels: the channel count that this role in the pipeline feeds.
-        output_channels: second dimension of each output that this role promises.
+        path: the file.
+        input_channels: second dimension of what this role in the pipeline feeds.
+        output_channels: second dimension of each output that this role promises; further ones of published networks
+            are left out.
         threads: CPU threads; 0 leaves OpenVINO's choice.
         any_size: whether it is given pictures of any size, whatever the file says. It is slower by a fiftieth then, and
             the first picture of another form is no delay.
@@ -103,7 +109,9 @@ class OpenVinoNetwork:
         try:
             model = read_network(core, path)
         except (RuntimeError, ValueError) as error:  # ValueError: of its own message, where a damaged name is no text
-            raise CheckpointError(f"{path}: not a readable ONNX network") from error
+            raise CheckpointError(f"{path}: not a readable network") from error
+        if path.suffix == ".tflite":
+            model = import_openvino().Model(model.outputs[: len(output_channels)], model.get_parameters())
         found_in = [_channels(port) for port in model.inputs]
         found_out = [_channels(port) for port in model.outputs]
         if found_in != [input_channels] or found_out != list(output_channels):
@@ -206,7 +214,16 @@ def load_networks(folder: Path, card: WeightsCard, threads: int = 0) -> Networks
             network = opened(other, others_card, HAND_CHECK, 3, 2)
             used.append(network)
             check = partial(_only_output, network)
-        second = SecondNetworks(others_card, *_pose_functions(*others), check)
+        body = None
+        if others_card.body:
+            finder, joints = BODY_NETWORKS
+            published = [
+                opened(other, others_card, finder, *FINDER_SHAPE),
+                opened(other, others_card, joints, *JOINTS_SHAPE),
+            ]
+            used += published
+            body = BodyNetworks(*published)
+        second = SecondNetworks(others_card, *_pose_functions(*others), check, body)
     # Nothing but this side by side: where Python looks into networks, it and OpenVINO may wait for each other's locks.
     with ThreadPoolExecutor() as pool:
         list(pool.map(OpenVinoNetwork.compile, used))

@@ -6,13 +6,16 @@ else; that is how each stage is studied alone and how the error budget is drawn 
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
+from twohands.geometry.body import Body
 from twohands.geometry.segmentation import HandBoxes, certain_masks, parted_masks
+from twohands.inference.body import guessed_masks
 from twohands.inference.detection import Detection, HandFinder
 from twohands.inference.engine import Networks, load_networks
 from twohands.inference.expected import Expected
@@ -124,29 +127,45 @@ class HandEstimator:
         keep_masks = truth.masks is not None
         finder = HandFinder(self.stages, self.card, image, camera, expected, keep_masks=keep_masks)
         found, said = None, None
+        around_px = None if trail is None else trail.last[-1].around_px
         rests = self.card.decides and truth.replaces_nothing
         if trail is not None and expected is not None and trail.may_rest and rests:
             found = followed_hands(finder, trail, expected)
         if found is None:
             maps = None if truth.knows_hands else self.stages.hand_maps(image)
             said = None if maps is None else maps.turn_logits
-            found = self.find_hands(finder, *self.segment(image, truth, maps), truth, trail)
+            body = self.body(image, trail) if rests else None
+            seen_by = replace(finder, body=body)
+            found = self.find_hands(seen_by, *self.segment(image, truth, maps, body), truth, trail)
+            around_px = None if body is None else body.around_px
         left, right = self.place_hands(finder, found, hand_length_m, truth)
         masks, crop_masks = (None, None) if found.followed else (certain_masks(found.masks), found.masks)
-        return TwoHandPose(left, right, camera, masks, index, time_s, found.followed, crop_masks, said)
+        return TwoHandPose(left, right, camera, masks, index, time_s, found.followed, crop_masks, said, around_px)
 
     def segment(
-        self, image: np.ndarray, truth: StageTruth = NO_TRUTH, maps: HandMaps | None = None
+        self,
+        image: np.ndarray,
+        truth: StageTruth = NO_TRUTH,
+        maps: HandMaps | None = None,
+        body: Body | None = None,
     ) -> tuple[np.ndarray, HandBoxes]:
-        """Stage 1: masks (H, W), and boxes of the candidates; of HandSegNet's maps where they are known."""
+        """Stage 1: masks (H, W), and boxes of the candidates; of HandSegNet's maps where they are known, and of the
+        body's hands that it misses."""
         size, masks, boxes = image.shape[:2], truth.masks, truth.hand_boxes()
         if masks is None or boxes is None:
             maps = self.stages.hand_maps(image) if maps is None else maps
-            boxes = self.stages.boxes(maps, size, truth.present) if boxes is None else boxes
+            boxes = self.stages.boxes(maps, size, truth.present, body) if boxes is None else boxes
             if masks is None:
                 masks = self.stages.masks(maps, size, boxes.present)
                 masks = parted_masks(masks, boxes.boxes_px) if boxes.parted else masks
+                masks = masks if boxes.guessed is None else guessed_masks(masks, boxes)
         return masks, boxes
+
+    def body(self, image: np.ndarray, trail: Trail | None = None) -> Body | None:
+        """The body of the person in a picture, in a clip first looked for where it was."""
+        if self.stages.body is None:
+            return None
+        return self.stages.body(image, None if trail is None else trail.last[-1].around_px)
 
     def find_hands(
         self,

@@ -20,6 +20,7 @@ from typing import Final
 
 import numpy as np
 
+from twohands.geometry.body import Body
 from twohands.geometry.boxes import box_iou
 from twohands.geometry.segmentation import BoxEvidence, log_odds
 from twohands.inference.decision import FIRST_FEATURES, LAST_FEATURES, DecisionConfig
@@ -83,6 +84,7 @@ class Evidence:
         check: (candidate, 2) HandCheck's log-odds that the candidate is a hand, and that it is a LEFT one if it is a
             hand; NaN where it did not look.
         merged_check: (2,) the same of both together.
+        body: of the person; None where there is none, or nobody looked.
     """
 
     image_size: tuple[int, int]
@@ -96,6 +98,7 @@ class Evidence:
     before: Before | None = None
     check: np.ndarray = field(default_factory=lambda: np.full((2, 2), np.nan))
     merged_check: np.ndarray = field(default_factory=lambda: np.full(2, np.nan))
+    body: Body | None = None
 
     def checks(self, source: np.ndarray) -> np.ndarray:
         """(2,) HandCheck's log-odds that the hands of an answer, `Assignment.source`, are hands; NaN for an absent one
@@ -307,6 +310,7 @@ def _of_hand(evidence: Evidence, side: int, candidate: int) -> dict[str, float]:
         "joints_contrast": 0.0 if unseen else joints[side] - joints[other],
         **_of_check(evidence.check[candidate], side, "check"),
         "check_unseen": float(np.isnan(evidence.check[candidate, 0])),
+        **_of_body(evidence.body, side, box_px, "body"),
         "size": _log_size(box_sizes(box_px[None], evidence.image_size)[0]),
         "arm_outside": float(np.clip(arm_outside, -2, 2)),
         "arm_below": float(np.clip(arm_below, -2, 2)),
@@ -331,6 +335,7 @@ def _of_merged(evidence: Evidence, side: int) -> dict[str, float]:
         "merged_joints": joints[side] - _USUAL_SCORE,
         "merged_size": _log_size(box_sizes(box_px[None], evidence.image_size)[0]),
         **_of_check(evidence.merged_check, side, "merged_check"),
+        **_of_body(evidence.body, side, box_px, "merged_body"),
         **_of_before(evidence.before, side, box_px),
     }
 
@@ -339,6 +344,18 @@ def _of_check(check: np.ndarray, side: int, name: str) -> dict[str, float]:
     """What HandCheck's log-odds (2,) say of a hand of a side; nothing where it did not look."""
     hand, left = np.nan_to_num(check)
     return {name: _limited(hand), f"{name}_side": _limited(left if side == LEFT else -left)}
+
+
+def _of_body(body: Body | None, side: int, box_px: np.ndarray, name: str) -> dict[str, float]:
+    """What a person's body says of a hand of a side in this box."""
+    if body is None:
+        return {f"{name}_unseen": 1.0}
+    near = body.near(box_px)
+    return {
+        name: float(near.max()),
+        f"{name}_side": float(near[side] - near[1 - side]),
+        f"{name}_both": float(near.min()),
+    }
 
 
 def _of_before(before: Before | None, side: int, box_px: np.ndarray) -> dict[str, float]:

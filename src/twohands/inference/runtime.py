@@ -52,7 +52,7 @@ def _open() -> Any:
 
 def read_network(core: Any, path: Path) -> Any:
     """`core.read_model`, every kernel a plain constant: what a file stores in 8 bits would else be multiplied out for
-    every picture.
+    every picture, and what it stores in 16 may be multiplied in these.
 
     Raises:
         RuntimeError: the file cannot be read.
@@ -61,6 +61,10 @@ def read_network(core: Any, path: Path) -> Any:
 
     model = core.read_model(path)
     for node in model.get_ordered_ops():
+        if path.suffix == ".tflite":
+            if node.get_type_name() == "Convert" and node.input_value(0).get_node().get_type_name() == "Constant":
+                node.output(0).replace(opset.constant(constant_values(node.output(0))).output(0))
+            continue
         if node.get_type_name() not in CONVOLUTIONS:
             continue
         kernel = node.input_value(1)

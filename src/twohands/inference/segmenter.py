@@ -13,6 +13,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from twohands.geometry.body import Body
 from twohands.geometry.boxes import box_iou
 from twohands.geometry.network_input import canvas_size, letterbox, network_input
 from twohands.geometry.picture_turn import turn_logits
@@ -30,6 +31,7 @@ from twohands.geometry.segmentation import (
     resized_maps,
     unmirrored,
 )
+from twohands.inference.body import with_body
 from twohands.inference.decision import PictureView, ViewConfig
 from twohands.inference.weights import WeightsCard
 from twohands.skeleton import LEFT, RIGHT
@@ -170,7 +172,11 @@ def with_part(maps: HandMaps, closer: HandMaps, part: tuple[slice, slice], image
 
 
 def candidate_boxes(
-    card: WeightsCard, maps: HandMaps, image_size: tuple[int, int], present: np.ndarray | None = None
+    card: WeightsCard,
+    maps: HandMaps,
+    image_size: tuple[int, int],
+    present: np.ndarray | None = None,
+    body: Body | None = None,
 ) -> HandBoxes:
     """Where hands may be: those found, or, where the card's fitted decision has a say later, candidates.
 
@@ -179,6 +185,7 @@ def candidate_boxes(
         maps: of the picture.
         image_size: (H, W) of the picture.
         present: (2,) bool, the known answer; None to decide by score.
+        body: of the person, which may have hands that are not seen (`body.with_body`).
     """
     rules = card.decision
     threshold = rules.candidate_threshold if card.decides else rules.presence_threshold
@@ -187,6 +194,7 @@ def candidate_boxes(
         return boxes
     if present is None:
         boxes = parted_boxes(boxes, maps.energies, image_size, rules.candidate_threshold, rules.same_place_iou)
+        boxes = with_body(boxes, body, image_size)
     return replace(boxes, evidence=box_evidence(maps.energies, maps.leads, boxes.boxes_px, image_size))
 
 

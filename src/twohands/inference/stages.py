@@ -13,7 +13,9 @@ from functools import partial
 import numpy as np
 
 from twohands.errors import InputError
+from twohands.geometry.body import Body
 from twohands.geometry.segmentation import HandBoxes
+from twohands.inference import body as bodies
 from twohands.inference import hand_check, keypoints, placement, segmenter
 from twohands.inference.engine import Networks
 from twohands.inference.keypoints import Keypoints
@@ -80,6 +82,7 @@ class Stages:
         lift: keypoints -> canonical joints (B, 21, 3), `placement.lift`.
         place: canonical, joints_px, joint_scores, camera, lengths_m -> `placement.place`.
         check: image, joints (B, 21, 2) -> `hand_check.checked`; None without such a network.
+        body: image[, where to look first] -> `body.seen_body`; None without such networks.
         card: of the weights.
         second: the same stages with the second pose networks; None without any.
     """
@@ -94,14 +97,16 @@ class Stages:
     place: Callable[[np.ndarray, np.ndarray, np.ndarray, PinholeCamera, np.ndarray], GlobalPose]
     card: WeightsCard
     check: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
+    body: Callable[[np.ndarray, np.ndarray | None], Body | None] | None = None
     second: Stages | None = None
 
     @classmethod
     def of(cls, networks: Networks, card: WeightsCard, pair: int = 0) -> Stages:
         """The stages of a set of weights; `pair` is 1 for those of the second pose networks."""
-        check = second = None
+        check = body = second = None
         if (known := networks.second) is not None:
             check = None if known.hand_check is None else partial(hand_check.checked, known.hand_check, known.card)
+            body = None if known.body is None else partial(bodies.seen_body, known.body)
             poses = replace(networks, pose_net_2d=known.pose_net_2d, pose_net_3d=known.pose_net_3d, second=None)
             second = cls.of(poses, known.card, 1)
         return cls(
@@ -115,6 +120,7 @@ class Stages:
             place=partial(placement.place, card.placement),
             card=card,
             check=check,
+            body=body,
             second=second,
         )
 

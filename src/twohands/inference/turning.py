@@ -113,7 +113,9 @@ def turned_pose(pose: TwoHandPose, turn: int) -> TwoHandPose:
         None if known is None else turned_image(known, turn) for known in (pose.masks, pose.crop_masks)
     )
     logits = None if pose.turn_logits is None else np.roll(pose.turn_logits, turn)
-    return replace(pose, left=left, right=right, camera=camera, masks=masks, crop_masks=crop_masks, turn_logits=logits)
+    around_px = None if pose.around_px is None else turned_points(pose.around_px, size, turn)
+    turned = replace(pose, left=left, right=right, camera=camera, masks=masks, crop_masks=crop_masks)
+    return replace(turned, turn_logits=logits, around_px=around_px)
 
 
 def turned_trail(trail: Trail, size: tuple[int, int], turn: int) -> Trail:

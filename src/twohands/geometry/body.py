@@ -1,0 +1,137 @@
+"""A person's body in a picture: what MediaPipe Pose's networks say, in pixels, and where the hands should be by that.
+
+Source: the published networks' inputs and outputs (MediaPipe 0.10.21, modules pose_detection and pose_landmark).
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twohands.geometry.boxes import apply_homography
+
+FINDER_SIZE: Final = 224
+"""Rows and columns of the picture in which bodies are found."""
+JOINTS_SIZE: Final = 256
+"""Rows and columns of the crop in which a body's joints are seen."""
+VALUES: Final = 5
+"""Numbers that describe a joint: u, v, depth, log-odds that it is not hidden, and that it is in the crop."""
+_STRIDES: Final = ((8, 2), (16, 2), (32, 6))
+"""Pixels from one anchor to the next, and how many lie in one place."""
+_AROUND: Final = 1.25
+"""Radius of the square around a body over the distance of the two points that describe it."""
+_SHOULDERS, _HIPS, _WRISTS, _THUMBS = (11, 12), (23, 24), (15, 16), (21, 22)
+_KNUCKLES: Final = ((17, 19), (18, 20))
+"""Of little and first finger."""
+_CENTRE, _END = 33, 34
+_PALM_SHARE: Final = 1.3
+"""From the wrist to the middle of the hand's box, over the distance of the knuckles from the wrist."""
+_HAND_SPANS, _HAND_TORSOS = 2.4, 0.47
+"""Longer side of the hand's box over the widest distance of the hand's four points, and over the torso's length;
+medians over generated people, as `_PALM_SHARE`."""
+
+
+class Body(NamedTuple):
+    """A person's body, in pixels of the picture.
+
+    Attributes:
+        palms_px: (2, 2) of LEFT and RIGHT, the middle of the wrist and the knuckles of first and little finger.
+        boxes_px: (2, 4) u0, v0, u1, v1, where the hands should be.
+        visible: (2,) 0..1, how likely the wrists are in the picture, and not hidden.
+        around_px: (2, 2) middle of the body and a point at its end: where to look in a clip's next frame.
+    """
+
+    palms_px: NDArray[np.float64]
+    boxes_px: NDArray[np.float64]
+    visible: NDArray[np.float64]
+    around_px: NDArray[np.float64]
+
+    def near(self, box_px: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(2,) how likely the LEFT and the RIGHT hand are what a box (4,) shows: whether their wrist is visible, less
+        the farther the palm is from the box's middle."""
+        off = np.linalg.norm(self.palms_px - (box_px[:2] + box_px[2:]) / 2, axis=1)
+        return self.visible * np.exp(-((off / (_NEAR * max((box_px[2:] - box_px[:2]).max(), 1e-9))) ** 2))
+
+
+_NEAR: Final = 0.6
+"""Distance from a box's middle, in its longer sides, at which a palm counts 1/e."""
+
+
+def picture_square(image_size: tuple[int, int]) -> NDArray[np.float64]:
+    """image_from_crop (3, 3) of the square of `FINDER_SIZE` in which a picture of size (H, W) fits."""
+    scale = max(image_size) / FINDER_SIZE
+    shift = (np.array(image_size[::-1]) - max(image_size)) / 2
+    return np.array([[scale, 0, shift[0]], [0, scale, shift[1]], [0, 0, 1.0]])
+
+
+def found_body(
+    points: NDArray[np.float64], logits: NDArray[np.float64], threshold: float
+) -> NDArray[np.float64] | None:
+    """The surest body.
+
+    Args:
+        points: (N, 12) by anchor, pixels from its middle: box, and four points of the body, of which the first two are
+            its middle and a point at its end.
+        logits: (N,) log-odds that there is a body.
+        threshold: 0..1, least chance.
+
+    Returns:
+        (2, 2) its middle and end in pixels of the finder's input; None where there is none.
+    """
+    best = int(np.argmax(logits))
+    if logits[best] < math.log(threshold / (1 - threshold)):
+        return None
+    return np.reshape(points[best, 4:8], (2, 2)) + _anchors()[best]
+
+
+@cache
+def _anchors() -> NDArray[np.float64]:
+    """(N, 2) middles of the anchors in pixels of the finder's input."""
+    rows: list[NDArray[np.float64]] = []
+    for stride, count in _STRIDES:
+        places = np.asarray((np.arange(FINDER_SIZE // stride) + 0.5) * stride, np.float64)
+        v, u = np.meshgrid(places, places, indexing="ij")
+        rows.append(np.repeat(np.column_stack([u.ravel(), v.ravel()]), count, axis=0))
+    return np.concatenate(rows)
+
+
+def body_square(around_px: NDArray[np.float64]) -> NDArray[np.float64]:
+    """image_from_crop (3, 3) of the square of `JOINTS_SIZE` around a body, turned so that its end is above its middle.
+
+    Args:
+        around_px: (2, 2) middle and end, pixels of the picture.
+    """
+    up = around_px[1] - around_px[0]
+    length = max(float(np.hypot(*up)), 1.0)
+    up = up / length if length > 1 else np.array([0.0, -1.0])
+    scale = 2 * _AROUND * length / JOINTS_SIZE
+    turn = np.array([[-up[1], -up[0]], [up[0], -up[1]]])  # the crop's (0, -1) is up
+    corner = around_px[0] - scale * turn @ np.full(2, JOINTS_SIZE / 2)
+    return np.vstack([np.column_stack([scale * turn, corner]), [0.0, 0.0, 1.0]])
+
+
+def body_of(joints: NDArray[np.float64], image_from_crop: NDArray[np.float64]) -> Body:
+    """A body from its joints.
+
+    Args:
+        joints: (39, `VALUES`) in pixels of the crop.
+        image_from_crop: (3, 3).
+    """
+    at_px = np.asarray(apply_homography(image_from_crop, joints[:, :2]), np.float64)
+    logits = np.minimum(np.maximum(joints[list(_WRISTS), 3:], -50.0), 50.0)
+    chances = 1 / (1 + np.exp(-logits))
+    torso_px = np.linalg.norm(at_px[list(_SHOULDERS)].mean(axis=0) - at_px[list(_HIPS)].mean(axis=0))
+    palms_px, boxes_px = np.zeros((2, 2)), np.zeros((2, 4))
+    for side in range(2):
+        wrist, (little, first) = at_px[_WRISTS[side]], at_px[list(_KNUCKLES[side])]
+        points = np.stack([wrist, little, first, at_px[_THUMBS[side]]])
+        span_px = np.linalg.norm(points[:, None] - points, axis=-1).max()
+        palms_px[side] = points[:3].mean(axis=0)
+        middle = wrist + _PALM_SHARE * ((little + first) / 2 - wrist)
+        half = math.sqrt(max(_HAND_SPANS * span_px * _HAND_TORSOS * torso_px, 1.0)) / 2
+        boxes_px[side] = [*(middle - half), *(middle + half)]
+    return Body(palms_px, boxes_px, chances.min(axis=1), at_px[[_CENTRE, _END]])

@@ -1,0 +1,189 @@
+"""A person's body: where it is looked for, what its hands are worth as candidates and as evidence."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from tests.geometry.test_body import ANCHORS, standing
+from tests.oracles import Oracle, drawn_hands, hand_masks, make_card, restaged
+
+from twohands.geometry.body import Body, body_square
+from twohands.geometry.boxes import apply_homography
+from twohands.geometry.segmentation import HandBoxes
+from twohands.inference.body import BodyNetworks, guessed_masks, seen_body, with_body
+from twohands.inference.detection import Detection, HandFinder
+from twohands.inference.engine import load_networks
+from twohands.inference.stages import StageTruth
+from twohands.inference.trail import Trail
+from twohands.inference.weights import preset_folder, read_card
+
+NO = np.nan
+SIZE = (200, 300)
+BODY = Body(
+    np.array([[200.0, 100], [60, 100]]),
+    np.array([[180.0, 80, 220, 120], [40, 80, 80, 120]]),
+    np.array([0.9, 0.9]),
+    np.array([[130.0, 100], [130, 20]]),
+)
+NOTHING = np.full(4, NO)
+
+
+class Networks:
+    """A body that is found where it is put, and seen in every crop around it; what was asked is kept."""
+
+    def __init__(self, *, found=True, chances=(0.9,)):
+        self.asked: list[str] = []
+        self.found, self.chances = found, list(chances)
+        self.networks = BodyNetworks(self.finder, self.joints)
+
+    def finder(self, batch):
+        assert batch.shape == (1, 224, 224, 3) and batch.min() >= -1 and batch.max() <= 1
+        self.asked.append("finder")
+        points, logits = np.zeros((1, ANCHORS, 12), np.float32), np.full((1, ANCHORS, 1), -9.0, np.float32)
+        points[0, 0, 4:8] = 100, 100, 100, 40
+        logits[0, 0] = 4.0 if self.found else -4.0
+        return points, logits
+
+    def joints(self, batch):
+        assert batch.shape == (1, 256, 256, 3) and batch.min() >= 0 and batch.max() <= 1
+        self.asked.append("joints")
+        return standing().reshape(1, -1)[:, :195].astype(np.float32), np.array([[self.chances.pop(0)]], np.float32)
+
+
+def picture(size=SIZE):
+    return np.random.default_rng(0).integers(0, 256, (*size, 3), np.uint8)
+
+
+def test_a_body_is_found_and_then_seen_closer():
+    said = Networks()
+    body = seen_body(said.networks, picture((224, 224)))
+    assert said.asked == ["finder", "joints"]
+    place = body_square(np.array([[104.0, 104], [104, 44]]))  # of the finder's first anchor
+    np.testing.assert_allclose(
+        body.palms_px, apply_homography(place, np.array([[170, 490 / 3], [90, 490 / 3]])), rtol=1e-5
+    )
+
+
+@pytest.mark.parametrize(
+    ("said", "asked", "there"),
+    [
+        (Networks(chances=[0.9]), ["joints"], True),  # where it was
+        (Networks(chances=[0.1, 0.9]), ["joints", "finder", "joints"], True),  # not there any more, but elsewhere
+        (Networks(found=False, chances=[0.1]), ["joints", "finder"], False),  # gone
+        (Networks(chances=[0.1, 0.1]), ["joints", "finder", "joints"], False),  # what was found is none
+    ],
+)
+def test_in_a_clip_it_is_looked_for_where_it_was(said, asked, there):
+    body = seen_body(said.networks, picture(), BODY.around_px)
+    assert said.asked == asked and (body is not None) == there
+
+
+def boxes(left=NOTHING, right=NOTHING) -> HandBoxes:
+    boxes_px = np.array([left, right], float)
+    return HandBoxes(boxes_px, np.isfinite(boxes_px).all(axis=1), np.zeros(2))
+
+
+def test_hands_that_are_missed_are_guessed():
+    found = with_body(boxes(), BODY, SIZE)
+    assert found.present.all() and found.guessed.all()
+    np.testing.assert_array_equal(found.boxes_px, BODY.boxes_px)
+
+
+@pytest.mark.parametrize(
+    ("seen", "guessed"),
+    [
+        ({"left": [190, 90, 210, 110]}, [[190, 90, 210, 110], BODY.boxes_px[1]]),
+        ({"right": [50, 90, 70, 110]}, [BODY.boxes_px[0], [50, 90, 70, 110]]),
+        ({"left": [50, 90, 70, 110]}, [[50, 90, 70, 110], BODY.boxes_px[0]]),  # of the other side: that is told later
+    ],
+)
+def test_the_wrist_that_has_no_candidate_gives_one(seen, guessed):
+    found = with_body(boxes(**seen), BODY, SIZE)
+    np.testing.assert_array_equal(found.boxes_px, np.array(guessed, float))
+    assert found.guessed.sum() == 1 and found.present.all()
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        None,
+        BODY._replace(visible=np.array([0.4, 0.4])),  # hidden
+        BODY._replace(palms_px=np.array([[310.0, 100], [60, 210]])),  # outside the picture
+    ],
+)
+def test_hands_that_are_not_shown_are_not_guessed(body):
+    assert not with_body(boxes(), body, SIZE).present.any()
+
+
+def test_nothing_is_guessed_beside_two_candidates():
+    two = boxes([0, 0, 10, 10], [20, 0, 30, 10])
+    assert with_body(two, BODY, SIZE) is two
+
+
+def test_guessed_hands_are_perhaps_there():
+    masks = np.zeros(SIZE, np.uint8)
+    masks[:, :60] = 1  # the left hand's
+    found = guessed_masks(masks, with_body(boxes(), BODY, SIZE))
+    assert found[100, 200] == 3 and found[100, 70] == 4  # perhaps left, perhaps right
+    assert found[100, 50] == 1 and found[81, 181] == 0  # what is seen stays; a box's corner is no hand
+    assert not masks[:, 60:].any()  # nothing is written into what was given
+    np.testing.assert_array_equal(guessed_masks(masks, boxes([0, 0, 9, 9])), masks)
+
+
+def known_hands(**stages):
+    """An estimator that knows the hands of a picture, and the picture."""
+    sample = drawn_hands(7)
+    card = make_card(hand_logit=True)
+    decision = dataclasses.replace(card.decision, first={"hand": 9.0}, last={"hand": 9.0})
+    oracle = Oracle(sample, dataclasses.replace(card, decision=decision))
+
+    def located(crops):
+        return oracle.true_maps(crops), np.full(len(crops), 5.0)
+
+    def lifted(keypoints):
+        return oracle.canonical[keypoints.sides]
+
+    return restaged(oracle.estimator, locate=located, lift=lifted, **stages), sample
+
+
+def test_a_body_is_looked_for_where_it_was():
+    asked = []
+
+    def body(image, around_px):
+        asked.append(around_px)
+        return BODY
+
+    estimator, sample = known_hands(body=body)
+    first = estimator.estimate(sample.image, sample.camera)
+    np.testing.assert_array_equal(first.around_px, BODY.around_px)
+    estimator.estimate(sample.image, sample.camera, previous=Trail.of(first), index=1)
+    assert asked[0] is None and asked[1] is first.around_px
+
+
+def test_with_ground_truth_no_body_is_looked_for():
+    def body(image, around_px):
+        raise AssertionError("looked for a body")
+
+    estimator, sample = known_hands(body=body)
+    assert estimator.estimate(sample.image, sample.camera, truth=StageTruth(masks=hand_masks(sample))).left.present
+
+
+def test_the_shipped_networks_are_those_that_were_published():
+    """They take and give what is asked of them, and see nobody in noise."""
+    folder = preset_folder("fast")
+    networks = load_networks(folder, read_card(folder), threads=1)
+    assert networks.second is not None and networks.second.body is not None
+    assert seen_body(networks.second.body, picture((240, 320))) is None
+    points, logits = networks.second.body.finder(np.zeros((1, 224, 224, 3), np.float32))
+    joints, chance = networks.second.body.joints(np.zeros((1, 256, 256, 3), np.float32))
+    assert (points.shape, logits.shape, joints.shape) == ((1, ANCHORS, 12), (1, ANCHORS, 1), (1, 195))
+    assert 0 <= chance.item() <= 1
+
+
+def test_what_a_body_says_goes_into_the_decision():
+    estimator, sample = known_hands()
+    finder = HandFinder(estimator.stages, estimator.card, sample.image, sample.camera, body=BODY)
+    masks, found = estimator.segment(sample.image)
+    crops = finder.crops(masks, found.boxes_px, np.flatnonzero(found.present))
+    looked = Detection(masks, found, finder.looked(masks, found.boxes_px, crops))
+    assert finder.evidence(looked, None)[0].body is BODY
