@@ -1,6 +1,8 @@
 """A person's body: where it is looked for, what its hands are worth as candidates and as evidence."""
 
 import dataclasses
+import hashlib
+import json
 
 import numpy as np
 import pytest
@@ -15,7 +17,7 @@ from twohands.inference.detection import Detection, HandFinder
 from twohands.inference.engine import load_networks
 from twohands.inference.stages import StageTruth
 from twohands.inference.trail import Trail
-from twohands.inference.weights import preset_folder, read_card
+from twohands.inference.weights import BODY_NETWORKS, network_files, preset_folder, read_card
 
 NO = np.nan
 SIZE = (200, 300)
@@ -178,6 +180,10 @@ def test_the_shipped_networks_are_those_that_were_published():
     joints, chance = networks.second.body.joints(np.zeros((1, 256, 256, 3), np.float32))
     assert (points.shape, logits.shape, joints.shape) == ((1, ANCHORS, 12), (1, ANCHORS, 1), (1, 195))
     assert 0 <= chance.item() <= 1
+    card = json.loads((folder.parent / "second" / "card.json").read_bytes())["body"]
+    for name, path in network_files(folder.parent / "second", networks.second.card).items():
+        if name in BODY_NETWORKS:
+            assert hashlib.sha256(path.read_bytes()).hexdigest() == card[name]["sha256"]
 
 
 def test_what_a_body_says_goes_into_the_decision():

@@ -31,6 +31,7 @@ from scripts.fit_handedness import (
 from tests.oracles import Oracle, drawn_hands, make_card, write_tiny_weights
 
 from twohands.errors import InputError
+from twohands.geometry.body import Body
 from twohands.geometry.segmentation import BoxEvidence
 from twohands.inference.decision import DecisionConfig
 from twohands.inference.estimator import HandEstimator
@@ -103,6 +104,9 @@ def test_likelihood_finds_the_weights_that_made_the_answers():
     chosen = (rng.random((4000, 1)) > chances.cumsum(axis=1)).sum(axis=1)
     right = np.arange(4) == chosen[:, None]
     np.testing.assert_allclose(likeliest(Choices(features, right)), weights, atol=0.1)
+    given = likeliest(Choices(features, right), np.array([1.0, NO, NO]))
+    assert given[0] == 1.0  # as given, whatever was chosen; what it leaves out, others take over
+    np.testing.assert_allclose(given[1:], weights[1:], atol=0.15)
     vague = right.copy()
     vague[np.arange(500), (chosen[:500] + 1) % 4] = True
     vague &= np.isfinite(features[..., 0])
@@ -165,6 +169,8 @@ def test_pictures_keep_what_came_before_them_when_some_are_left_out():
 def test_evidence_is_kept_in_a_file_and_that_of_other_weights_refused(tmp_path):
     rng = np.random.default_rng(0)
     pictures = [judged_picture(rng, scene) for scene in range(5)]
+    body = Body(*(rng.uniform(0, 100, shape) for shape in ((2, 2), (2, 4), 2, (2, 2))))
+    pictures[1] = pictures[1]._replace(evidence=dataclasses.replace(pictures[1].evidence, body=body))
     path = tmp_path / "evidence.npz"
     save(path, pictures, "fast@1")
     for one, other in zip(pictures, load(path, "fast@1"), strict=True):
