@@ -592,16 +592,17 @@ def _picture(row: dict[str, np.ndarray]) -> Seen:
 
 
 def _body_row(body: Body | None) -> np.ndarray:
-    """(18,) a body as the cache holds it; NaN for none."""
-    return np.full(18, np.nan) if body is None else np.concatenate([np.ravel(part) for part in body])
+    """(22,) a body as the cache holds it; NaN for none."""
+    return np.full(22, np.nan) if body is None else np.concatenate([np.ravel(part) for part in body])
 
 
 def _body(row: np.ndarray) -> Body | None:
-    """The body of a row (18,) of the cache."""
+    """The body of a row (22,) of the cache."""
     if np.isnan(row).any():
         return None
-    palms_px, boxes_px, visible, around_px = np.split(row, [4, 12, 14])
-    return Body(palms_px.reshape(2, 2), boxes_px.reshape(2, 4), visible, around_px.reshape(2, 2))
+    palms_px, boxes_px, visible, around_px, along_px = np.split(row, [4, 12, 14, 18])
+    points = around_px.reshape(2, 2), along_px.reshape(2, 2)
+    return Body(palms_px.reshape(2, 2), boxes_px.reshape(2, 4), visible, *points)
 
 
 def _or_nan(values: np.ndarray | None) -> np.ndarray:

@@ -88,6 +88,7 @@ def test_hands_of_a_body_by_hand():
     body = body_of(standing(), np.eye(3))
     np.testing.assert_allclose(body.palms_px, [[170, 490 / 3], [90, 490 / 3]])
     np.testing.assert_allclose(body.around_px, [[130, 160], [130, 20]])
+    np.testing.assert_allclose(body.along_px, [[0, 20], [0, 20]])
     np.testing.assert_allclose(body.visible, 1 / (1 + np.exp(-5.0)))
     span = np.hypot(5, 20)  # wrist to knuckle
     half = np.sqrt(2.4 * span * 0.47 * 100) / 2
@@ -112,7 +113,7 @@ def test_a_crop_that_is_moved_turned_and_scaled_moves_the_body():
 
 def test_which_hand_a_box_shows():
     palms_px = np.array([[100.0, 50], [40, 50]])
-    body = Body(palms_px, np.zeros((2, 4)), np.array([0.9, 0.5]), np.zeros((2, 2)))
+    body = Body(palms_px, np.zeros((2, 4)), np.array([0.9, 0.5]), *np.zeros((2, 2, 2)))
     near = body.near(np.array([70.0, 40, 130, 60]))  # its middle is the left palm; the right one is a side away
     np.testing.assert_allclose(near, [0.9, 0.5 * np.exp(-1 / 0.36)])
     assert np.isfinite(body.near(np.full(4, 100.0))).all()  # of no size

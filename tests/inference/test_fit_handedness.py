@@ -169,7 +169,7 @@ def test_pictures_keep_what_came_before_them_when_some_are_left_out():
 def test_evidence_is_kept_in_a_file_and_that_of_other_weights_refused(tmp_path):
     rng = np.random.default_rng(0)
     pictures = [judged_picture(rng, scene) for scene in range(5)]
-    body = Body(*(rng.uniform(0, 100, shape) for shape in ((2, 2), (2, 4), 2, (2, 2))))
+    body = Body(*(rng.uniform(0, 100, shape) for shape in ((2, 2), (2, 4), 2, (2, 2), (2, 2))))
     pictures[1] = pictures[1]._replace(evidence=dataclasses.replace(pictures[1].evidence, body=body))
     path = tmp_path / "evidence.npz"
     save(path, pictures, "fast@1")

@@ -11,6 +11,7 @@ from scripts.fit_second_look import Both
 from tests.datasets.photographed import write_digits
 from tests.oracles import Oracle, drawn_hands, make_card
 
+from twohands.geometry.body import Body
 from twohands.geometry.boxes import apply_homography, upright_roll_deg
 from twohands.geometry.canonical import canonical_from_camera
 from twohands.geometry.rotation import rotation_about_z
@@ -257,6 +258,18 @@ def test_in_a_clip_the_second_pair_begins_with_the_turn_in_which_it_saw_a_hand_l
     assert not again.followed and again.left.pair == 1
     rolls = [crop.roll_deg for crop in two.seen[1] if crop.side == LEFT]
     assert rolls == pytest.approx([upright_roll_deg(SAMPLE.joints_px)[LEFT]], abs=1)
+
+
+def test_the_second_pair_begins_with_the_turn_of_the_bodys_hand_that_is_there():
+    two = Two(upright_within_deg=25.0)
+    masks, boxes = two.estimator.segment(SAMPLE.image)
+    palms_px = (boxes.boxes_px[:, :2] + boxes.boxes_px[:, 2:]) / 2
+    along_px = SAMPLE.joints_px[:, ROOT] - SAMPLE.joints_px[:, WRIST]
+    body = Body(palms_px, boxes.boxes_px, np.array([0.9, 0.3]), np.zeros((2, 2)), along_px)
+    finder = HandFinder(two.estimator.stages, two.estimator.card, SAMPLE.image, SAMPLE.camera, body=body)
+    finder.second_looked(masks, boxes.boxes_px, np.array([LEFT, RIGHT]), None)
+    rolls = [crop.roll_deg for crop in two.seen[1]]
+    assert rolls == pytest.approx([upright_roll_deg(SAMPLE.joints_px)[LEFT], 0.0]), "of a hidden wrist nothing is known"
 
 
 def upwards(crop: HandCrop) -> np.ndarray:

@@ -43,12 +43,14 @@ class Body(NamedTuple):
         boxes_px: (2, 4) u0, v0, u1, v1, where the hands should be.
         visible: (2,) 0..1, how likely the wrists are in the picture, and not hidden.
         around_px: (2, 2) middle of the body and a point at its end: where to look in a clip's next frame.
+        along_px: (2, 2) from the wrists to these knuckles.
     """
 
     palms_px: NDArray[np.float64]
     boxes_px: NDArray[np.float64]
     visible: NDArray[np.float64]
     around_px: NDArray[np.float64]
+    along_px: NDArray[np.float64]
 
     def near(self, box_px: NDArray[np.float64]) -> NDArray[np.float64]:
         """(2,) how likely the LEFT and the RIGHT hand are what a box (4,) shows: whether their wrist is visible, less
@@ -125,13 +127,14 @@ def body_of(joints: NDArray[np.float64], image_from_crop: NDArray[np.float64]) -
     logits = np.minimum(np.maximum(joints[list(_WRISTS), 3:], -50.0), 50.0)
     chances = 1 / (1 + np.exp(-logits))
     torso_px = np.linalg.norm(at_px[list(_SHOULDERS)].mean(axis=0) - at_px[list(_HIPS)].mean(axis=0))
-    palms_px, boxes_px = np.zeros((2, 2)), np.zeros((2, 4))
+    (palms_px, along_px), boxes_px = np.zeros((2, 2, 2)), np.zeros((2, 4))
     for side in range(2):
         wrist, (little, first) = at_px[_WRISTS[side]], at_px[list(_KNUCKLES[side])]
         points = np.stack([wrist, little, first, at_px[_THUMBS[side]]])
         span_px = np.linalg.norm(points[:, None] - points, axis=-1).max()
         palms_px[side] = points[:3].mean(axis=0)
-        middle = wrist + _PALM_SHARE * ((little + first) / 2 - wrist)
+        along_px[side] = (little + first) / 2 - wrist
+        middle = wrist + _PALM_SHARE * along_px[side]
         half = math.sqrt(max(_HAND_SPANS * span_px * _HAND_TORSOS * torso_px, 1.0)) / 2
         boxes_px[side] = [*(middle - half), *(middle + half)]
-    return Body(palms_px, boxes_px, chances.min(axis=1), at_px[[_CENTRE, _END]])
+    return Body(palms_px, boxes_px, chances.min(axis=1), at_px[[_CENTRE, _END]], along_px)

@@ -233,8 +233,13 @@ def upright_roll_deg(joints_px: NDArray[np.float64]) -> NDArray[np.float64]:
     Returns:
         (...,) degrees, -180..180, for `rotation.rotation_about_z`: then the middle finger's knuckle is above the wrist.
     """
-    along = joints_px[..., ROOT, :] - joints_px[..., WRIST, :]
-    degrees = -90 - np.degrees(np.arctan2(along[..., 1], along[..., 0]))
+    return roll_up_deg(joints_px[..., ROOT, :] - joints_px[..., WRIST, :])
+
+
+def roll_up_deg(along_px: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(...,) how far a camera is to be rolled to see directions (..., 2) of its picture point up, as
+    `upright_roll_deg`."""
+    degrees = -90 - np.degrees(np.arctan2(along_px[..., 1], along_px[..., 0]))
     return (degrees + 180) % 360 - 180
 
 

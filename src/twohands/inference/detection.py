@@ -11,7 +11,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from twohands.geometry.body import Body
 from twohands.geometry.boxes import box_in_picture, box_iou
 from twohands.geometry.segmentation import HandBoxes, as_one_hand, box_evidence, probability
 from twohands.inference.expected import FARTHEST, strayed
@@ -86,11 +85,9 @@ class HandFinder(HandLooker):
 
     Attributes:
         keep_masks: whether masks are known and stay as they are.
-        body: of the person; None where there is none.
     """
 
     keep_masks: bool = False
-    body: Body | None = None
 
     def seen_better(
         self,

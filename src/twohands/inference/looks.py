@@ -11,7 +11,9 @@ from typing import Final
 
 import numpy as np
 
-from twohands.geometry.boxes import continued_box, ellipse_in, upright_roll_deg
+from twohands.geometry.body import Body
+from twohands.geometry.boxes import continued_box, ellipse_in, roll_up_deg, upright_roll_deg
+from twohands.inference.body import SURE
 from twohands.inference.expected import Expected
 from twohands.inference.keypoints import Keypoints, cuttable, in_sight, off_upright_deg, rolled_hand_box
 from twohands.inference.stages import Stages
@@ -31,6 +33,7 @@ class HandLooker:
         image: (H, W, 3).
         camera: of the image.
         expected: of the frame of a clip; None of a picture alone, and of the first frame.
+        body: of the person; None where there is none.
     """
 
     stages: Stages
@@ -38,6 +41,7 @@ class HandLooker:
     image: np.ndarray
     camera: PinholeCamera
     expected: Expected | None = None
+    body: Body | None = None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -79,7 +83,7 @@ class HandLooker:
         if joints_px is not None:
             crops = self.joint_crops(masks, boxes_px, joints_px, sides, np.ones(len(sides), int))
             return self._uprighted(masks, boxes_px, self.stages.keypoints(crops))
-        rolls_deg = np.where(self._shown(boxes_px, sides), self._last_rolls_deg(sides), np.nan)
+        rolls_deg = np.where(self._shown(boxes_px, sides), self._known_rolls_deg(boxes_px, sides), np.nan)
         crops: list[HandCrop] = []
         for side, roll_deg in zip(sides.tolist(), rolls_deg.tolist(), strict=True):
             if math.isnan(roll_deg):
@@ -88,12 +92,20 @@ class HandLooker:
                 crops.append(self._rolled_crop(masks, self._around(boxes_px[side]), side, 1, roll_deg))
         return self._searched(masks, boxes_px, self._uprighted(masks, boxes_px, self.stages.keypoints(crops)))
 
-    def _last_rolls_deg(self, sides: np.ndarray) -> np.ndarray:
+    def _known_rolls_deg(self, boxes_px: np.ndarray, sides: np.ndarray) -> np.ndarray:
         """(B,) rolls of cameras that would see hands of B sides with the fingers up, as the second pose networks saw
-        them in the last frame; NaN where they did not."""
-        if self.expected is None or not self.stages.of_pair(1).card.views.upright:
-            return np.full(len(sides), np.nan)
-        return upright_roll_deg(self.expected.seen_px[1, sides])
+        them in the last frame, else by the body that has a hand there; NaN where neither says."""
+        rolls_deg = np.full(len(sides), np.nan)
+        if not self.stages.of_pair(1).card.views.upright:
+            return rolls_deg
+        if self.body is not None:
+            near = np.array([self.body.near(box_px) for box_px in boxes_px[sides]])
+            along_px = self.body.along_px[near.argmax(axis=1)]
+            rolls_deg = np.where(near.max(axis=1) > SURE, roll_up_deg(along_px), np.nan)
+        if self.expected is None:
+            return rolls_deg
+        last_deg = upright_roll_deg(self.expected.seen_px[1, sides])
+        return np.where(np.isfinite(last_deg), last_deg, rolls_deg)
 
     def joint_crops(
         self, masks: np.ndarray, boxes_px: np.ndarray, joints_px: np.ndarray, sides: np.ndarray, pairs: np.ndarray
