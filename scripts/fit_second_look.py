@@ -41,7 +41,7 @@ from twohands.inference.decision import SECOND_FEATURES
 from twohands.inference.detection import HandFinder
 from twohands.inference.estimator import HandEstimator
 from twohands.inference.keypoints import Keypoints
-from twohands.inference.second_look import MOST_ASTRAY, on_other_hand, second_features
+from twohands.inference.second_look import second_features
 from twohands.inference.weights import write_card
 from twohands.training.config import DataConfig, folder_list
 from twohands.training.sources import open_source
@@ -135,16 +135,16 @@ def pasted(options: argparse.Namespace) -> list[tuple[str, Callable[[], HandSamp
 
 def hands_seen(estimator: HandEstimator, sample: HandSample, kind: str, scene: int) -> list[Both]:
     """The candidates of one picture that are hands, each as that of its true side."""
-    masks, boxes = estimator.segment(sample.image)
+    body = estimator.body(sample.image)
+    masks, boxes = estimator.segment(sample.image, body=body)
     sides = np.flatnonzero(boxes.present)
     if not len(sides):
         return []
-    finder = HandFinder(estimator.stages, estimator.card, sample.image, sample.camera)
+    finder = HandFinder(estimator.stages, estimator.card, sample.image, sample.camera, body=body)
     first, second = finder.both_looked(masks, boxes.boxes_px, finder.crops(masks, boxes.boxes_px, sides))
     features, hands = second_features(first, second), []
-    asked = on_other_hand(first, masks, finder.size) <= MOST_ASTRAY
     for row, side in enumerate(sides):
-        if asked[row] and int(side) in {true_side(seen.joints_px[row], sample) for seen in (first, second)}:
+        if int(side) in {true_side(seen.joints_px[row], sample) for seen in (first, second)}:
             errors = [mean_error(seen, row, sample, int(side)) for seen in (first, second)]
             hands.append(Both(kind, scene, features[row], *errors))
     return hands

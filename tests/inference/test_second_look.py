@@ -20,7 +20,7 @@ from twohands.inference.detection import Detection, HandFinder
 from twohands.inference.estimator import HandEstimator
 from twohands.inference.keypoints import Keypoints
 from twohands.inference.range_sigma import with_sources
-from twohands.inference.second_look import knows_better, on_other_hand, second_features
+from twohands.inference.second_look import knows_better, second_features
 from twohands.inference.stages import StageTruth
 from twohands.inference.trail import Trail
 from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
@@ -43,7 +43,6 @@ def keypoints(scores, logits, shift_px=0.0) -> Keypoints:
 
 
 SIZE = (100, 200)
-RIGHT_BEYOND_52 = np.where(np.arange(200) < 52, 0, 2) * np.ones((100, 1), int)
 
 
 def test_what_speaks_for_the_second_pair_by_hand():
@@ -65,16 +64,6 @@ def test_what_speaks_for_the_second_pair_by_hand():
     )
     (surer,) = second_features(keypoints([0.9], [2.0]), keypoints([0.5], [5.0]))
     assert surer[SECOND_FEATURES.index("second_passed")] == 2, "3 is enough"
-
-
-@pytest.mark.parametrize("step", [1, 4])
-def test_joints_are_on_the_other_hand_where_its_mask_is(step):
-    """Joints lie every five pixels from 0 to 100; the masks say that the right hand is where u is 52 or more."""
-    hand, masks = keypoints([0.9], [0.0]), RIGHT_BEYOND_52[::step, ::step]
-    assert on_other_hand(hand, masks, SIZE)[0] == pytest.approx(10 / 21)
-    assert on_other_hand(hand, masks + 2 * (masks > 0), SIZE)[0] == pytest.approx(10 / 21), "perhaps the right hand"
-    assert on_other_hand(hand, masks // 2, SIZE)[0] == 0, "its own"
-    assert on_other_hand(keypoints([0.9], [0.0], shift_px=120.0), masks, SIZE)[0] == pytest.approx(16 / 21)
 
 
 def test_the_second_pair_counts_where_its_weights_say_so():
@@ -179,16 +168,15 @@ def test_both_pairs_look_and_the_weights_say_which_counts():
     assert not unasked.seen[1], "without weights it would never count"
 
 
-def test_where_a_hand_is_on_the_mask_of_the_other_the_first_pair_is_believed():
-    """Named case: of a hand behind the other one the second pair saw the one in front."""
+def test_of_a_hand_on_the_mask_of_the_other_the_second_pair_is_asked():
+    """Named case: of touching hands the first pair's joints counted, mixed up as they were."""
     two = Two(scores=(0.5, 0.5))
     masks, boxes = two.estimator.segment(SAMPLE.image)
     finder = HandFinder(two.estimator.stages, two.estimator.card, SAMPLE.image, SAMPLE.camera)
     crops = finder.crops(masks, boxes.boxes_px, np.array([LEFT, RIGHT]))
-    apart = Detection(masks, boxes, finder.looked(masks, boxes.boxes_px, crops))
-    mixed_up = apart._replace(masks=np.where(masks > 0, 1 + RIGHT, 0).astype(np.uint8))
-    assert finder.seen_better(apart, boxes.boxes_px).keypoints.pairs.tolist() == [1, 1]
-    assert finder.seen_better(mixed_up, boxes.boxes_px).keypoints.pairs.tolist() == [0, 1]
+    mixed_up = np.where(masks > 0, 1 + RIGHT, 0).astype(np.uint8)
+    found = Detection(mixed_up, boxes, finder.looked(masks, boxes.boxes_px, crops))
+    assert finder.seen_better(found, boxes.boxes_px).keypoints.pairs.tolist() == [1, 1]
 
 
 def test_whether_it_is_a_hand_is_said_by_the_first_pair():

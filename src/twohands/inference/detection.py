@@ -30,7 +30,7 @@ from twohands.inference.keypoints import (
     mirror_crop,
 )
 from twohands.inference.looks import HandLooker
-from twohands.inference.second_look import MOST_ASTRAY, knows_better, on_other_hand
+from twohands.inference.second_look import knows_better
 from twohands.inference.segmenter import corrected_masks
 from twohands.inference.side_decision import assign_in_clip
 from twohands.inference.side_keeping import NOTHING_KNOWN
@@ -100,8 +100,7 @@ class HandFinder(HandLooker):
     ) -> Detection:
         """Hands of the first pose networks, seen by the second ones as well: their joints count where they know a hand
         better, and their boxes are those where they were looked for. Which hands are there, and whose, stays what the
-        first ones said. Of a hand that is seen where the mask of the other one is (`MOST_ASTRAY`) they would see the
-        nearer one twice.
+        first ones said.
 
         Args:
             found: hands that are decided.
@@ -115,7 +114,6 @@ class HandFinder(HandLooker):
         if self.stages.second is None or not config.second:
             return found
         rows = np.flatnonzero((first.pairs == 0) & (self._unexpected(first) if lost is None else lost))
-        rows = rows[on_other_hand(first.rows(rows), found.masks, self.size) <= MOST_ASTRAY]
         if not len(rows):
             return found
         sides = first.sides[rows]

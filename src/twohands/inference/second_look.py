@@ -13,40 +13,15 @@ from typing import Final
 
 import numpy as np
 
-from twohands.geometry.boxes import inside_picture
-from twohands.geometry.segmentation import UNCERTAIN
 from twohands.inference.decision import SECOND_FEATURES, DecisionConfig
 from twohands.inference.expected import FARTHEST, strayed
 from twohands.inference.handedness import LOGIT_LIMIT, PASSED, weight_vector
 from twohands.inference.keypoints import Keypoints
 
-MOST_ASTRAY: Final = 0.2
-"""A hand of whose joints a larger share lies on the mask of the other hand is not asked about: of such hands of people
-and renderings the second pair is no better (docs/history/journal.md, *Hands that leave the picture*)."""
 _LEAST_DOUBT: Final = 0.01
 """Added to what the mean score of a hand's joints lacks, before its logarithm is taken."""
 _LEAST_APART: Final = 0.02
 """The same of how far the two pairs see the joints apart, in sizes of the hand."""
-
-
-def on_other_hand(keypoints: Keypoints, masks: np.ndarray, image_size: tuple[int, int]) -> np.ndarray:
-    """Share of the joints that are seen where the mask of the other hand is.
-
-    Args:
-        keypoints: of B hands.
-        masks: (h, w) of the picture, as `masks_from_logits` gives them, or coarser.
-        image_size: (H, W) of the picture.
-
-    Returns:
-        (B,) 0..1; a joint outside the picture is on neither.
-    """
-    columns, rows = np.moveaxis(keypoints.joints_px, -1, 0)
-    inside = inside_picture(keypoints.joints_px, image_size[1], image_size[0])
-    scale = np.array(masks.shape) / image_size
-    rows, columns = (np.where(inside, at * by, 0).astype(int) for at, by in zip((rows, columns), scale, strict=True))
-    other = (2 - keypoints.sides)[:, None]
-    classes = masks[rows, columns]
-    return (inside & ((classes == other) | (classes == other + UNCERTAIN))).mean(axis=-1)
 
 
 def second_features(first: Keypoints, second: Keypoints) -> np.ndarray:
