@@ -42,9 +42,6 @@ def keypoints(scores, logits, shift_px=0.0) -> Keypoints:
     return Keypoints([crop] * count, [np.zeros((21, 2, 2))] * count, joints_px, scores, np.array(logits))
 
 
-SIZE = (100, 200)
-
-
 def test_what_speaks_for_the_second_pair_by_hand():
     (values,) = second_features(keypoints([0.9], [2.0]), keypoints([0.5], [-9.0], shift_px=8.0))
     first, second, apart = np.log(0.11), np.log(0.51), np.log(0.02 + 0.08)
