@@ -73,8 +73,8 @@ NEAR: Final = 0.4
 """A hand is a true one whose palm is nearer than this, as a share of the true one's longer side."""
 PENALTY: Final = 10.0
 """Of half the square of a weight times its feature's standard deviation; 1 and 30 are alike in pictures held out."""
-GIVEN: Final[dict[str, float]] = {"body": 2.0, "merged_body": 2.0}
-"""Weights that are not fitted, of whether a body's hand should be there. Networks that learnt from rendered people know
+BODY_TRUST: Final = 2.0
+"""Added to the fitted weights of whether a body's hand should be there. Networks that learnt from rendered people know
 these better than real ones, and networks of bodies worse (docs/history/journal.md, *Bodies*)."""
 FOLDS: Final = 5
 TOUCHING: Final = 0.75
@@ -356,10 +356,13 @@ def true_side(joints_px: np.ndarray, sample: HandSample) -> int | None:
 
 
 def fit(pictures: Sequence[Seen], config: DecisionConfig) -> DecisionConfig:
-    """The weights: first without what was before, which then comes from these; then with it."""
+    """The weights: first without what was before, which then comes from these; then with it. Bodies are trusted by
+    `BODY_TRUST` more than that."""
     alone = fitted_last([(one, None) for one in pictures], fitted_first([(one, None) for one in pictures], config))
     known = with_before(pictures, alone)
-    return fitted_last(known, fitted_first(known, config))
+    fitted = fitted_last(known, fitted_first(known, config))
+    trusted = {name: fitted.first[name] + BODY_TRUST for name in ("body", "merged_body")}
+    return replace(fitted, first={**fitted.first, **trusted})
 
 
 def with_before(pictures: Sequence[Seen], config: DecisionConfig) -> list[tuple[Seen, Before | None]]:
@@ -394,8 +397,7 @@ def fitted_first(known: Sequence[tuple[Seen, Before | None]], config: DecisionCo
     features = [first_features(replace(one.evidence, before=before)) for one, before in known]
     looks = zip(known, features, strict=True)
     right = [right_answers(one.outcome, np.isfinite(rows[:, 0])) for (one, _), rows in looks]
-    given = np.array([GIVEN.get(name, np.nan) for name in FIRST_FEATURES])
-    return replace(config, first=named(likeliest(Choices(np.array(features), np.array(right)), given), FIRST_FEATURES))
+    return replace(config, first=named(likeliest(Choices(np.array(features), np.array(right))), FIRST_FEATURES))
 
 
 def fitted_last(known: Sequence[tuple[Seen, Before | None]], config: DecisionConfig) -> DecisionConfig:
@@ -417,19 +419,16 @@ def right_answers(outcome: np.ndarray, possible: np.ndarray) -> np.ndarray:
     return count == count.max()
 
 
-def likeliest(choices: Choices, given: np.ndarray | None = None) -> np.ndarray:
-    """(F,) weights of the largest penalised likelihood that one of the right answers is the answer; those that are
-    `given`, (F,), as they are, NaN for one to be fitted; None for all."""
-    given = np.full(choices.features.shape[-1], np.nan) if given is None else given
+def likeliest(choices: Choices) -> np.ndarray:
+    """(F,) weights of the largest penalised likelihood that one of the right answers is the answer."""
     possible = np.isfinite(choices.features[..., 0])
     open_ones = possible.sum(axis=1) > 1
     features, right, possible = choices.features[open_ones], choices.right[open_ones], possible[open_ones]
     if not len(features):
         raise InputError("no picture with a candidate: there is nothing to fit")
     spread = np.maximum(features[possible].std(axis=0), 1e-9)
-    features = np.where(possible[..., None], features, 0.0)
-    offset = np.where(possible, features @ np.nan_to_num(given), -np.inf)
-    features = np.where(np.isnan(given), features, 0.0) / spread
+    features = np.where(possible[..., None], features, 0.0) / spread
+    offset = np.where(possible, 0.0, -np.inf)
 
     def loss(weights: np.ndarray) -> tuple[float, np.ndarray]:
         scores = features @ weights + offset
@@ -440,7 +439,7 @@ def likeliest(choices: Choices, given: np.ndarray | None = None) -> np.ndarray:
         return value, np.einsum("na,naf->f", pull, features) + PENALTY * weights
 
     found = minimize(loss, np.zeros(features.shape[-1]), jac=True, method="L-BFGS-B", options={"maxiter": 2000})
-    return np.where(np.isnan(given), found.x / spread, given)
+    return found.x / spread
 
 
 def named(weights: np.ndarray, names: Sequence[str]) -> dict[str, float]:

@@ -27,8 +27,10 @@ from twohands.geometry.body import (
 from twohands.geometry.boxes import apply_homography, inside_picture, warp_image
 from twohands.geometry.segmentation import UNCERTAIN, HandBoxes
 
+FOUND: Final = 0.8
+"""Chance from which on somebody is found: below it are mostly hands and things (docs/history/journal.md, *Bodies*)."""
 SURE: Final = 0.5
-"""Chance from which on there is a body, or a wrist is visible; the networks' own."""
+"""Chance from which on there is still a body where it was, or a wrist is visible."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +65,7 @@ def seen_body(networks: BodyNetworks, image: np.ndarray, around_px: np.ndarray |
     place = picture_square((image.shape[0], image.shape[1]))
     crop = warp_image(image, place, FINDER_SIZE)
     points, logits = networks.finder(crop[None].astype(np.float32) / 127.5 - 1)
-    found = found_body(points[0], logits[0, :, 0], SURE)
+    found = found_body(points[0], logits[0, :, 0], FOUND)
     return None if found is None else _joints(networks, image, np.asarray(apply_homography(place, found)))
 
 
