@@ -14,11 +14,13 @@ from twohands.types import TwoHandPose
 
 STAGES: Final = {
     "hand_maps": "letterbox, HandSegNet",
+    "body": "body",
     "boxes": "boxes, masks",
     "masks": "boxes, masks",
     "crop": "crops",
     "locate": "PoseNet2D",
     "read_out": "joints from heatmaps",
+    "check": "HandCheck",
     "lift": "PoseNet3D",
     "place": "global solve",
 }
@@ -72,5 +74,6 @@ def timed_estimate(estimator: HandEstimator, clock: StageClock) -> Callable[...,
 
 def _timed_stages(plain: Stages, clock: StageClock) -> Stages:
     """The same stages, those of second pose networks under the same names as the first's."""
-    timed = {field: clock.timed(name, getattr(plain, field)) for field, name in STAGES.items()}
+    known = {field: getattr(plain, field) for field in STAGES}
+    timed = {field: clock.timed(STAGES[field], stage) for field, stage in known.items() if stage is not None}
     return replace(plain, **timed, second=plain.second and _timed_stages(plain.second, clock))
