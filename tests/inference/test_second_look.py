@@ -20,7 +20,7 @@ from twohands.inference.detection import Detection, HandFinder
 from twohands.inference.estimator import HandEstimator
 from twohands.inference.keypoints import Keypoints
 from twohands.inference.range_sigma import with_sources
-from twohands.inference.second_look import knows_better, second_features
+from twohands.inference.second_look import knows_better, second_features, seen_twice
 from twohands.inference.stages import StageTruth
 from twohands.inference.trail import Trail
 from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
@@ -61,6 +61,28 @@ def test_what_speaks_for_the_second_pair_by_hand():
     )
     (surer,) = second_features(keypoints([0.9], [2.0]), keypoints([0.5], [5.0]))
     assert surer[SECOND_FEATURES.index("second_passed")] == 2, "3 is enough"
+
+
+@pytest.mark.parametrize(
+    ("second_px", "better", "twice"),
+    [
+        ([0.0, 100.0], [0, 1], [False, False]),  # each where the first pair has it
+        ([0.0, 8.0], [0, 1], [False, True]),  # both on the left one
+        ([92.0, 100.0], [0, 1], [True, False]),  # both on the right one
+        ([92.0, 100.0], [1], [False, False]),  # of which the left one does not count
+        ([0.0, 30.0], [0, 1], [False, False]),  # near each other
+    ],
+)
+def test_a_hand_is_not_seen_where_the_other_one_is(second_px, better, twice):
+    """Named case: of touching hands the second pair saw the nearer one twice, and the other one changed sides. Hands of
+    100 pixels, the first pair's 100 apart."""
+    first, second = (keypoints([0.9, 0.9], [2.0, 2.0], shift_px=0.0) for _ in range(2))
+    for seen, shifts in ((first, [0.0, 100.0]), (second, second_px)):
+        seen.joints_px[...] = seen.joints_px[:1]
+        seen.joints_px[..., 0] += np.array(shifts)[:, None]
+    assert seen_twice(first, second, np.array([0, 1]), np.array(better)).tolist() == twice
+    alone = first.rows([0])
+    assert not seen_twice(alone, second.rows([0]), np.array([0]), np.array([0])).any()
 
 
 def test_the_second_pair_counts_where_its_weights_say_so():

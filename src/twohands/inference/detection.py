@@ -30,7 +30,7 @@ from twohands.inference.keypoints import (
     mirror_crop,
 )
 from twohands.inference.looks import HandLooker
-from twohands.inference.second_look import knows_better
+from twohands.inference.second_look import knows_better, seen_twice
 from twohands.inference.segmenter import corrected_masks
 from twohands.inference.side_decision import assign_in_clip
 from twohands.inference.side_keeping import NOTHING_KNOWN
@@ -122,6 +122,8 @@ class HandFinder(HandLooker):
         better = np.flatnonzero(
             knows_better(first.rows(rows), second, config, expected_px) if lost is None else lost[rows]
         )
+        if lost is None:
+            better = better[~seen_twice(first, second, rows, better)[better]]
         second_px = np.full((2, N_JOINTS, 2), np.nan)
         second_px[sides] = second.joints_px
         found = found._replace(second_px=second_px)

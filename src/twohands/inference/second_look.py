@@ -18,6 +18,9 @@ from twohands.inference.expected import FARTHEST, strayed
 from twohands.inference.handedness import LOGIT_LIMIT, PASSED, weight_vector
 from twohands.inference.keypoints import Keypoints
 
+TWICE: Final = 0.2
+"""Mean distance of corresponding joints, in sizes of the larger hand, below which two hands are one that is seen twice
+(docs/history/journal.md, *Bodies*)."""
 _LEAST_DOUBT: Final = 0.01
 """Added to what the mean score of a hand's joints lacks, before its logarithm is taken."""
 _LEAST_APART: Final = 0.02
@@ -67,3 +70,27 @@ def knows_better(
     there = [strayed(px, seen.joints_px) <= FARTHEST[1] for px, seen in both]
     there[1] &= second.hand_logits >= 0
     return np.where(there[0] == there[1], better, there[1])
+
+
+def seen_twice(first: Keypoints, second: Keypoints, rows: np.ndarray, better: np.ndarray) -> np.ndarray:
+    """Which hands the second pair sees where the other hand is. Joints of two hands, one mirrored, seldom lie one on
+    the other; of touching hands the nearer one is easily seen twice, and is the one that the first pair sees there.
+
+    Args:
+        first: both hands, or one.
+        second: what the second pair sees of B of these, in `rows`, (B,).
+        better: which of `second` count.
+
+    Returns:
+        (B,) bool, at most one of `better`.
+    """
+    twice = np.zeros(len(rows), bool)
+    if len(first.sides) < 2 or not len(better):
+        return twice
+    seen_px = first.joints_px.copy()
+    seen_px[rows[better]] = second.joints_px[better]
+    apart_px = np.linalg.norm(seen_px[0] - seen_px[1], axis=-1).mean()
+    if apart_px < TWICE * np.ptp(seen_px, axis=1).max():
+        moved_px = np.linalg.norm(first.joints_px - seen_px, axis=-1).mean(axis=-1)
+        twice[better] = rows[better] == int(np.argmax(moved_px))
+    return twice
