@@ -25,6 +25,7 @@ import hashlib
 import io
 import itertools
 import json
+import math
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
@@ -59,6 +60,7 @@ from twohands.inference.handedness import (
     last_features,
     palm_distance,
     rescore,
+    weight_vector,
 )
 from twohands.inference.weights import preset_folder, read_card, weights_id, write_card
 from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
@@ -73,6 +75,7 @@ NEAR: Final = 0.4
 """A hand is a true one whose palm is nearer than this, as a share of the true one's longer side."""
 PENALTY: Final = 10.0
 """Of half the square of a weight times its feature's standard deviation; 1 and 30 are alike in pictures held out."""
+BODY_FEATURES: Final = tuple(name for name in FIRST_FEATURES if "body" in name)
 BODY_TRUST: Final = 2.0
 """Added to the fitted weights of whether a body's hand should be there. Networks that learnt from rendered people know
 these better than real ones, and networks of bodies worse (docs/history/journal.md, *Bodies*)."""
@@ -132,6 +135,7 @@ def main() -> int:
     parser.add_argument("--judges", nargs="*", default=[], help="weights folders or presets: see above")
     add_picture_options(parser, count=1000, digits=150, photographs=100)
     parser.add_argument("--cache", type=Path, required=True, help="file of evidence; read where it is there")
+    parser.add_argument("--bodies", action="store_true", help="fit what bodies say alone; all else stays as it is")
     parser.add_argument("--dry-run", action="store_true", help="leave the card alone")
     options = parser.parse_args()
     try:
@@ -143,8 +147,8 @@ def main() -> int:
         identity = "+".join(weights_id(folder, read_card(folder)) for folder in folders)
         pictures = gathered(options, "+".join([identity, *map(views_id, folders)]))
         config = card.decision
-        summary = cross_validated(pictures, config)
-        fitted = fit(pictures, config)
+        summary = cross_validated(pictures, config, fit_bodies if options.bodies else fit)
+        fitted = fit_bodies(pictures, config) if options.bodies else fit(pictures, config)
         kinds = {kind: sum(one.kind == kind for one in pictures) for kind in dict.fromkeys(p.kind for p in pictures)}
         fitted = replace(fitted, fit={"weights": identity, "pictures": kinds, "penalty": PENALTY, **summary})
         if not options.dry_run:
@@ -356,13 +360,23 @@ def true_side(joints_px: np.ndarray, sample: HandSample) -> int | None:
 
 
 def fit(pictures: Sequence[Seen], config: DecisionConfig) -> DecisionConfig:
-    """The weights: first without what was before, which then comes from these; then with it. Bodies are trusted by
-    `BODY_TRUST` more than that."""
+    """The weights: first without what was before, which then comes from these; then with it."""
     alone = fitted_last([(one, None) for one in pictures], fitted_first([(one, None) for one in pictures], config))
     known = with_before(pictures, alone)
-    fitted = fitted_last(known, fitted_first(known, config))
-    trusted = {name: fitted.first[name] + BODY_TRUST for name in ("body", "merged_body")}
-    return replace(fitted, first={**fitted.first, **trusted})
+    return trusting(fitted_last(known, fitted_first(known, config)))
+
+
+def fit_bodies(pictures: Sequence[Seen], config: DecisionConfig) -> DecisionConfig:
+    """The weights of what bodies say, beside all others as they are: where nobody is seen, decisions stay the same."""
+    known: list[tuple[Seen, Before | None]] = [(one, None) for one in pictures if one.evidence.body is not None]
+    given = {name: 0.0 for name in FIRST_FEATURES} | dict(config.first) | dict.fromkeys(BODY_FEATURES, math.nan)
+    return trusting(fitted_first(known, config, weight_vector(given, FIRST_FEATURES)))
+
+
+def trusting(config: DecisionConfig) -> DecisionConfig:
+    """With bodies trusted by `BODY_TRUST` more than the fit says."""
+    trusted = {name: config.first[name] + BODY_TRUST for name in ("body", "merged_body")}
+    return replace(config, first={**config.first, **trusted})
 
 
 def with_before(pictures: Sequence[Seen], config: DecisionConfig) -> list[tuple[Seen, Before | None]]:
@@ -392,12 +406,14 @@ def look_of(one: Seen, answer: int, assignment: Assignment) -> LastLook:
     return LastLook(assignment.source, assignment.logits, pose, joints, size, float(one.distance[answer]), checks)
 
 
-def fitted_first(known: Sequence[tuple[Seen, Before | None]], config: DecisionConfig) -> DecisionConfig:
-    """With the weights of the first decision."""
+def fitted_first(
+    known: Sequence[tuple[Seen, Before | None]], config: DecisionConfig, given: np.ndarray | None = None
+) -> DecisionConfig:
+    """With the weights of the first decision; `given` as of `likeliest`."""
     features = [first_features(replace(one.evidence, before=before)) for one, before in known]
     looks = zip(known, features, strict=True)
     right = [right_answers(one.outcome, np.isfinite(rows[:, 0])) for (one, _), rows in looks]
-    return replace(config, first=named(likeliest(Choices(np.array(features), np.array(right))), FIRST_FEATURES))
+    return replace(config, first=named(likeliest(Choices(np.array(features), np.array(right)), given), FIRST_FEATURES))
 
 
 def fitted_last(known: Sequence[tuple[Seen, Before | None]], config: DecisionConfig) -> DecisionConfig:
@@ -419,16 +435,19 @@ def right_answers(outcome: np.ndarray, possible: np.ndarray) -> np.ndarray:
     return count == count.max()
 
 
-def likeliest(choices: Choices) -> np.ndarray:
-    """(F,) weights of the largest penalised likelihood that one of the right answers is the answer."""
+def likeliest(choices: Choices, given: np.ndarray | None = None) -> np.ndarray:
+    """(F,) weights of the largest penalised likelihood that one of the right answers is the answer; those that are
+    `given`, (F,), as they are, NaN for one to be fitted; None for all."""
+    given = np.full(choices.features.shape[-1], np.nan) if given is None else given
     possible = np.isfinite(choices.features[..., 0])
     open_ones = possible.sum(axis=1) > 1
     features, right, possible = choices.features[open_ones], choices.right[open_ones], possible[open_ones]
     if not len(features):
         raise InputError("no picture with a candidate: there is nothing to fit")
     spread = np.maximum(features[possible].std(axis=0), 1e-9)
-    features = np.where(possible[..., None], features, 0.0) / spread
-    offset = np.where(possible, 0.0, -np.inf)
+    features = np.where(possible[..., None], features, 0.0)
+    offset = np.where(possible, features @ np.nan_to_num(given), -np.inf)
+    features = np.where(np.isnan(given), features, 0.0) / spread
 
     def loss(weights: np.ndarray) -> tuple[float, np.ndarray]:
         scores = features @ weights + offset
@@ -439,7 +458,7 @@ def likeliest(choices: Choices) -> np.ndarray:
         return value, np.einsum("na,naf->f", pull, features) + PENALTY * weights
 
     found = minimize(loss, np.zeros(features.shape[-1]), jac=True, method="L-BFGS-B", options={"maxiter": 2000})
-    return found.x / spread
+    return np.where(np.isnan(given), found.x / spread, given)
 
 
 def named(weights: np.ndarray, names: Sequence[str]) -> dict[str, float]:
@@ -447,7 +466,11 @@ def named(weights: np.ndarray, names: Sequence[str]) -> dict[str, float]:
     return {name: round(float(weight), 4) for name, weight in zip(names, weights, strict=True)}
 
 
-def cross_validated(pictures: Sequence[Seen], config: DecisionConfig) -> dict[str, object]:
+def cross_validated(
+    pictures: Sequence[Seen],
+    config: DecisionConfig,
+    fit: Callable[[Sequence[Seen], DecisionConfig], DecisionConfig] = fit,
+) -> dict[str, object]:
     """Prints errors by kind and a reliability table, every scene by weights fitted to other scenes; a summary."""
     rows: dict[str, np.ndarray] = {}
     chances: list[tuple[float, bool]] = []

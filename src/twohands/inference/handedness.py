@@ -347,9 +347,9 @@ def _of_check(check: np.ndarray, side: int, name: str) -> dict[str, float]:
 
 
 def _of_body(body: Body | None, side: int, box_px: np.ndarray, name: str) -> dict[str, float]:
-    """What a person's body says of a hand of a side in this box."""
+    """What a person's body says of a hand of a side in this box; nothing where nobody is."""
     if body is None:
-        return {f"{name}_unseen": 1.0}
+        return {}
     near = body.near(box_px)
     return {
         name: float(near.max()),
