@@ -12,7 +12,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twohands.geometry.boxes import apply_homography
+from twohands.geometry.boxes import apply_homography, square_crop
+from twohands.geometry.segmentation import log_odds, probability
+from twohands.skeleton import LEFT
 
 FINDER_SIZE: Final = 224
 """Rows and columns of the picture in which bodies are found."""
@@ -65,9 +67,8 @@ _NEAR: Final = 0.6
 
 def picture_square(image_size: tuple[int, int]) -> NDArray[np.float64]:
     """image_from_crop (3, 3) of the square of `FINDER_SIZE` in which a picture of size (H, W) fits."""
-    scale = max(image_size) / FINDER_SIZE
-    shift = (np.array(image_size[::-1]) - max(image_size)) / 2
-    return np.array([[scale, 0, shift[0]], [0, scale, shift[1]], [0, 0, 1.0]])
+    height, width = image_size
+    return square_crop(np.array([0.0, 0.0, width, height]), size=FINDER_SIZE, side=LEFT, margin=1.0)
 
 
 def found_body(
@@ -85,7 +86,7 @@ def found_body(
         (2, 2) its middle and end in pixels of the finder's input; None where there is none.
     """
     best = int(np.argmax(logits))
-    if logits[best] < math.log(threshold / (1 - threshold)):
+    if logits[best] < log_odds(np.array(threshold)):
         return None
     return np.reshape(points[best, 4:8], (2, 2)) + _anchors()[best]
 
@@ -124,8 +125,7 @@ def body_of(joints: NDArray[np.float64], image_from_crop: NDArray[np.float64]) -
         image_from_crop: (3, 3).
     """
     at_px = np.asarray(apply_homography(image_from_crop, joints[:, :2]), np.float64)
-    logits = np.minimum(np.maximum(joints[list(_WRISTS), 3:], -50.0), 50.0)
-    chances = 1 / (1 + np.exp(-logits))
+    chances = probability(joints[list(_WRISTS), 3:])
     torso_px = np.linalg.norm(at_px[list(_SHOULDERS)].mean(axis=0) - at_px[list(_HIPS)].mean(axis=0))
     (palms_px, along_px), boxes_px = np.zeros((2, 2, 2)), np.zeros((2, 4))
     for side in range(2):

@@ -105,8 +105,9 @@ def with_body(boxes: HandBoxes, body: Body | None, image_size: tuple[int, int]) 
 
 
 def guessed_masks(masks: np.ndarray, boxes: HandBoxes) -> np.ndarray:
-    """Masks (H, W) uint8 in which the background of the ellipses in `guessed` boxes is perhaps the hand's."""
-    for side in np.flatnonzero(np.zeros(2) if boxes.guessed is None else boxes.guessed):
+    """Masks (H, W) uint8 in which the background of the ellipses in `guessed` boxes is perhaps the hand's; where
+    none is guessed, the same."""
+    for side in () if boxes.guessed is None else np.flatnonzero(boxes.guessed):
         box = boxes.boxes_px[side]
         middle, half = (box[:2] + box[2:]) / 2, np.maximum((box[2:] - box[:2]) / 2, 1.0)
         inside = np.zeros_like(masks)

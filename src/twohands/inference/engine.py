@@ -18,6 +18,7 @@ from typing import Any, Final
 import numpy as np
 
 from twohands.errors import CheckpointError
+from twohands.geometry.body import FINDER_SIZE, JOINTS_SIZE
 from twohands.geometry.picture_turn import TURN_MAPS
 from twohands.inference.body import BodyNetworks
 from twohands.inference.int8 import quantise
@@ -28,7 +29,7 @@ from twohands.skeleton import N_JOINTS
 HEAVY_LAYERS = ("Convolution", "FullyConnected", "MatMul")
 """OpenVINO's names of the layers that take nearly all the time."""
 
-FINDER_SHAPE, JOINTS_SHAPE = (224, 2254, 2254), (256, 195, 1)
+FINDER_SHAPE, JOINTS_SHAPE = (FINDER_SIZE, 2254, 2254), (JOINTS_SIZE, 195, 1)
 """Second dimensions of what the published networks of bodies take and give."""
 NO_PEAKS: Final[Mapping[str, float]] = MappingProxyType({})
 

@@ -128,15 +128,15 @@ class HandEstimator:
         finder = HandFinder(self.stages, self.card, image, camera, expected, keep_masks=keep_masks)
         found, said = None, None
         around_px = None if trail is None else trail.last[-1].around_px
-        rests = self.card.decides and truth.replaces_nothing
-        if trail is not None and expected is not None and trail.may_rest and rests:
+        unaided = self.card.decides and truth.replaces_nothing
+        if trail is not None and expected is not None and trail.may_rest and unaided:
             found = followed_hands(finder, trail, expected)
         if found is None:
             maps = None if truth.knows_hands else self.stages.hand_maps(image)
             said = None if maps is None else maps.turn_logits
-            body = self.body(image, trail) if rests else None
-            seen_by = replace(finder, body=body)
-            found = self.find_hands(seen_by, *self.segment(image, truth, maps, body), truth, trail)
+            body = self.body(image, around_px) if unaided else None
+            finder = replace(finder, body=body)
+            found = self.find_hands(finder, *self.segment(image, truth, maps, body), truth, trail)
             around_px = None if body is None else body.around_px
         left, right = self.place_hands(finder, found, hand_length_m, truth)
         masks, crop_masks = (None, None) if found.followed else (certain_masks(found.masks), found.masks)
@@ -158,14 +158,12 @@ class HandEstimator:
             if masks is None:
                 masks = self.stages.masks(maps, size, boxes.present)
                 masks = parted_masks(masks, boxes.boxes_px) if boxes.parted else masks
-                masks = masks if boxes.guessed is None else guessed_masks(masks, boxes)
+                masks = guessed_masks(masks, boxes)
         return masks, boxes
 
-    def body(self, image: np.ndarray, trail: Trail | None = None) -> Body | None:
-        """The body of the person in a picture, in a clip first looked for where it was."""
-        if self.stages.body is None:
-            return None
-        return self.stages.body(image, None if trail is None else trail.last[-1].around_px)
+    def body(self, image: np.ndarray, around_px: np.ndarray | None = None) -> Body | None:
+        """The body of the person in a picture, looked for where it was in a clip's last frame, (2, 2), first."""
+        return None if self.stages.body is None else self.stages.body(image, around_px)
 
     def find_hands(
         self,
