@@ -6,11 +6,12 @@ import cv2
 import numpy as np
 import pytest
 from tests.inference.test_expected import SAMPLE, pose_at, trail_of
-from tests.oracles import Oracle, make_card, restaged
+from tests.oracles import Oracle, drawn_hands, make_card, restaged
 
 from twohands.geometry.boxes import upright_roll_deg
 from twohands.inference.expected import FARTHEST
 from twohands.inference.following import LONGER_REST, followed_boxes, longest_rest, moved_masks, similarity
+from twohands.inference.side_keeping import NOTHING_KNOWN, SideMemory
 from twohands.inference.trail import Trail
 from twohands.types import HandPose, TwoHandPose
 
@@ -24,7 +25,7 @@ class Follower:
 
     def __init__(self, sample=SAMPLE, seen_logit: float = 4.0, blind: bool = False, card=CARD) -> None:
         oracle = Oracle(sample, card)
-        self.looks, self.crops = 0, []
+        self.looks, self.crops, self.sample = 0, [], sample
 
         def look(image):
             self.looks += 1
@@ -43,7 +44,8 @@ class Follower:
         )
 
     def estimate(self, trail: Trail | None, index: int = 1) -> TwoHandPose:
-        return self.estimator.estimate(SAMPLE.image, SAMPLE.camera, LENGTH_M, index=index, previous=trail)
+        sample = self.sample
+        return self.estimator.estimate(sample.image, sample.camera, LENGTH_M, index=index, previous=trail)
 
 
 def test_how_long_segmentation_rests():
@@ -154,6 +156,59 @@ def test_segmentation_looks_where_it_may_not_rest_or_a_hand_is_in_doubt():
     alone = Follower()
     assert not alone.estimate(Trail((first, replace(first, index=1)), first, may_rest=True), 5).followed
     assert alone.looks == 1, "after a pause"
+
+
+def surely(first: TwoHandPose) -> SideMemory:
+    """What is known of the sides of hands that have been there for a while."""
+    memory = NOTHING_KNOWN
+    for _ in range(5):
+        memory = memory.after(first)
+    return memory
+
+
+def test_hands_that_segmentation_sees_in_their_places_are_not_decided_anew():
+    """One look at either hand, none at its mirror image; the picture says nothing of sides."""
+    first = Follower(seen_logit=2.0).estimate(None, 0)
+    follower = Follower(seen_logit=2.0)
+    again = follower.estimate(Trail((first,), first, sides=surely(first)))
+    assert follower.looks == 1 and not again.followed and again.masks is not None
+    assert [len(crops) for crops in follower.crops] == [2]
+    for side, hand in enumerate(again.hands):
+        assert hand.side_logit == 0 and hand.range_m == pytest.approx(first.hands[side].range_m, rel=2e-3)
+        np.testing.assert_allclose(hand.joints_px, SAMPLE.joints_px[side], atol=0.1)
+
+
+def test_hands_are_decided_where_sides_are_unsure_or_a_candidate_is_elsewhere():
+    first = Follower(seen_logit=2.0).estimate(None, 0)
+    size_px = np.ptp(SAMPLE.joints_px[0], axis=0).max()
+    strayed_from = replace(first, left=replace(first.left, joints_px=SAMPLE.joints_px[0] + size_px))
+    alone = replace(first, right=HandPose(False))
+    missed = surely(first).after(alone)
+    for trail in (
+        Trail((first,), first),
+        Trail((strayed_from,), first, sides=surely(first)),
+        Trail((alone,), first, sides=surely(alone)),
+        Trail((first,), first, sides=missed),
+    ):
+        follower = Follower(seen_logit=2.0)
+        again = follower.estimate(trail)
+        assert again.left.side_logit != 0 and len(follower.crops) > 1, "mirrored, too"
+
+
+def test_two_candidates_in_the_place_of_one_hand_are_that_hand():
+    """Named case: a hand held up alone looks like both, and was decided anew whenever HandSegNet looked."""
+    one = Follower(drawn_hands(1, present=(True, False)), seen_logit=2.0)
+    first = one.estimate(None, 0)
+    assert not first.right.present
+    plain = one.estimator.stages.boxes
+
+    def boxes(*known):
+        seen = plain(*known)
+        return replace(seen, boxes_px=seen.boxes_px[[0, 0]] + [[0.0], [2.0]], present=np.array([True, True]))
+
+    one.estimator = restaged(one.estimator, boxes=boxes)
+    again = one.estimate(Trail((first,), first, sides=surely(first)))
+    assert again.left.side_logit == 0 and not again.right.present
 
 
 def test_weights_whose_decision_is_not_learnt_never_follow():

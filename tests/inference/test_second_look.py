@@ -22,6 +22,7 @@ from twohands.inference.keypoints import Keypoints
 from twohands.inference.range_sigma import with_sources
 from twohands.inference.second_look import knows_better, second_features, seen_twice
 from twohands.inference.stages import StageTruth
+from twohands.inference.side_keeping import NOTHING_KNOWN
 from twohands.inference.trail import Trail
 from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
 from twohands.types import HandCrop, TwoHandPose
@@ -415,6 +416,21 @@ def test_a_hand_is_followed_by_the_pair_that_saw_it():
     assert [other.side for other in two.seen[0]] == [RIGHT], "the range goes on as the first pair had it"
     assert crop.side == LEFT and crop.roll_deg, "with the fingers up at once: where they are is known"
     np.testing.assert_allclose(again.left.joints_px, SAMPLE.joints_px[LEFT], atol=0.3)
+
+
+def test_the_first_pair_sees_the_range_of_a_hand_that_the_second_follows_where_segmentation_looks():
+    two = Two(scores=(0.79, 0.9), upright_within_deg=25.0)
+    first = two.estimate()
+    for crops in two.seen:
+        crops.clear()
+    memory = NOTHING_KNOWN
+    for _ in range(5):
+        memory = memory.after(first)
+    again = two.estimate(Trail((first,), first, sides=memory), 1)
+    assert not again.followed and [hand.pair for hand in again.hands] == [1, 0] and again.left.side_logit == 0
+    assert [crop.side for crop in two.seen[1]] == [LEFT]
+    assert [crop.side for crop in two.seen[0]] == [RIGHT, LEFT], "no mirror images"
+    assert again.left.range_m == pytest.approx(first.left.range_m, rel=0.01) and again.left.range_shares is not None
 
 
 @pytest.mark.parametrize(("second_logit", "follows"), [(0.1, True), (-0.1, False)])

@@ -62,6 +62,10 @@ class SideMemory:
         """Whether a hand that was there, and is not forgotten, was not seen in the last frame."""
         return any(track is not None and track.unseen > 0 for track in self.tracks)
 
+    def sure(self, logit: float) -> np.ndarray:
+        """(2,) bool, whether LEFT and RIGHT are that hand by at least so much, log-odds."""
+        return np.array([track is not None and track.logit >= logit for track in self.tracks])
+
     def nearness(self, boxes_px: np.ndarray) -> np.ndarray:
         """(N, 2) 0..1, how well each hand of the next frame, boxes (N, 4), agrees with where LEFT and RIGHT should be;
         0 where there is no hand, or none was."""
