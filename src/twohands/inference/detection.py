@@ -13,8 +13,10 @@ import numpy as np
 
 from twohands.geometry.boxes import box_in_picture, box_iou
 from twohands.geometry.segmentation import HandBoxes, as_one_hand, box_evidence, probability
+from twohands.inference.body import SURE
 from twohands.inference.expected import FARTHEST, strayed
 from twohands.inference.handedness import (
+    PASSED,
     UNCHECKED,
     Assignment,
     Before,
@@ -32,7 +34,7 @@ from twohands.inference.keypoints import (
 from twohands.inference.looks import HandLooker
 from twohands.inference.second_look import knows_better, seen_twice
 from twohands.inference.segmenter import corrected_masks
-from twohands.inference.side_decision import assign_in_clip
+from twohands.inference.side_decision import assign_in_clip, known_assignment
 from twohands.inference.side_keeping import NOTHING_KNOWN
 from twohands.inference.trail import Trail
 from twohands.inference.views import HandViewer
@@ -157,6 +159,8 @@ class HandFinder(HandLooker):
             found: candidates, each as the hand that HandSegNet took it for.
             trail: of the clip; None of a picture alone.
         """
+        if (again := None if trail is None else self._confirmed(found, trail)) is not None:
+            return again
         before, known = (None, NOTHING_KNOWN) if trail is None else (Before.of(trail.last[-1]), trail.sides)
         evidence, views = self.evidence(found, before)
         seen_px = self.joint_boxed(found.boxes, found.keypoints).boxes_px
@@ -165,6 +169,36 @@ class HandFinder(HandLooker):
         recropped = self.recropped(assigned._replace(side_logits=side_logits), changed)
         kept = self.rescored(recropped, assignment, evidence.checks(assignment.source))
         return self.seen_better(kept, assigned.boxes.boxes_px)
+
+    def _confirmed(self, found: Detection, trail: Trail) -> Detection | None:
+        """The hands of the last frame, of whose sides the clip is sure, where the candidates are these: the picture is
+        asked nothing of their sides. None where they are not, or one is no hand by the last decision."""
+        if self.expected is None or trail.sides.misses_one:
+            return None
+        expected_px = self.expected.joints_px
+        there = np.asarray(np.isfinite(expected_px).all(axis=(1, 2)))
+        sure = trail.sides.sure(PASSED) & found.boxes.present
+        if not there.any() or not sure[there].all() or not self._in_place(found.boxes, expected_px):
+            return None
+        assignment, seen = known_assignment(trail, there), found.keypoints
+        views = CandidateViews({(side, side): seen.rows([i]) for i, side in enumerate(seen.sides)}, None)
+        assigned, changed = self.assigned(found, assignment, views)
+        assigned = assigned._replace(side_logits=np.where(there, 0.0, np.nan))
+        kept = self.rescored(self.recropped(assigned, changed), assignment)
+        return self.seen_better(kept, assigned.boxes.boxes_px) if (kept.boxes.present == there).all() else None
+
+    def _in_place(self, boxes: HandBoxes, expected_px: np.ndarray) -> bool:
+        """Whether candidates are where the hand of their side is expected, joints (2, 21, 2), or, where none is, in the
+        place of the other one: a hand may look like both, unless a body has this one there."""
+        unseen = np.full((2, 4), np.nan)
+        places_px = joint_boxes(expected_px, self.size, unseen, self.card.views.smallest_box_px)
+        known = np.asarray(np.isfinite(places_px).all(axis=1))
+        places_px = np.where(known[:, None], places_px, places_px[::-1])
+        astray = ~(np.asarray(box_iou(boxes.boxes_px, places_px)) >= self.card.decision.same_place_iou)
+        if self.body is not None:
+            near = np.array([self.body.near(box_px)[side] for side, box_px in enumerate(boxes.boxes_px)])
+            astray |= ~known & (near > SURE)
+        return not astray[boxes.present].any()
 
     def evidence(self, found: Detection, before: Before | None) -> tuple[Evidence, CandidateViews]:
         """What is known of HandSegNet's candidates; PoseNet2D sees them mirrored, or merged, where that may help, and

@@ -19,7 +19,7 @@ from twohands.inference.body import guessed_masks
 from twohands.inference.detection import Detection, HandFinder
 from twohands.inference.engine import Networks, load_networks
 from twohands.inference.expected import Expected
-from twohands.inference.following import confirmed_hands, followed_hands, going_on, with_sight
+from twohands.inference.following import followed_hands, going_on, with_sight
 from twohands.inference.keypoints import NO_KEYPOINTS, given_heatmaps
 from twohands.inference.placement import PlacedHands, hand_poses, refine
 from twohands.inference.segmenter import HandMaps
@@ -129,20 +129,14 @@ class HandEstimator:
         found, said = None, None
         around_px = None if trail is None else trail.last[-1].around_px
         unaided = self.card.decides and truth.replaces_nothing
-        clip = (trail, expected) if trail is not None and expected is not None and unaided else None
-        if clip is not None and clip[0].may_rest:
-            found = followed_hands(finder, *clip)
-            clip = None
+        if trail is not None and expected is not None and trail.may_rest and unaided:
+            found = followed_hands(finder, trail, expected)
         if found is None:
             maps = None if truth.knows_hands else self.stages.hand_maps(image)
             said = None if maps is None else maps.turn_logits
             body = self.body(image, around_px) if unaided else None
             finder = replace(finder, body=body)
-            seen = self.segment(image, truth, maps, body)
-            if clip is not None:
-                found = confirmed_hands(finder, *clip, *seen)
-            if found is None:
-                found = self.find_hands(finder, *seen, truth, trail)
+            found = self.find_hands(finder, *self.segment(image, truth, maps, body), truth, trail)
             around_px = None if body is None else body.around_px
         left, right = self.place_hands(finder, found, hand_length_m, truth)
         masks, crop_masks = (None, None) if found.followed else (certain_masks(found.masks), found.masks)

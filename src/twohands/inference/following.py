@@ -13,12 +13,11 @@ import cv2
 import numpy as np
 
 from twohands.geometry.boxes import box_in_picture, box_iou
-from twohands.geometry.segmentation import UNCERTAIN, HandBoxes, log_odds
-from twohands.inference.body import SURE
+from twohands.geometry.segmentation import UNCERTAIN, HandBoxes
 from twohands.inference.detection import Detection, HandFinder
 from twohands.inference.expected import FARTHEST, Expected, joints_of, strayed
-from twohands.inference.handedness import PASSED, Assignment
 from twohands.inference.keypoints import in_sight, joint_boxes
+from twohands.inference.side_decision import known_assignment, known_scores
 from twohands.inference.trail import Trail
 from twohands.inference.weights import WeightsCard
 from twohands.skeleton import LEFT, RIGHT
@@ -34,16 +33,13 @@ _MOST_CELLS: Final = 960
 """Masks of followed hands have at most so many cells along the longer side of the picture."""
 
 
-def followed_hands(
-    finder: HandFinder, trail: Trail, expected: Expected, masks: np.ndarray | None = None
-) -> Detection | None:
+def followed_hands(finder: HandFinder, trail: Trail, expected: Expected) -> Detection | None:
     """Stages 2 and 3 of the hands of the last frame, where they should be now.
 
     Args:
         finder: of the picture.
         trail: of the clip.
         expected: of the frame.
-        masks: (H, W) of the picture; those of before go with the hands where they are not known.
 
     Returns:
         None where HandSegNet is to look: no hand can be followed (`followed_boxes`); or one is less likely a hand than
@@ -56,8 +52,7 @@ def followed_hands(
     boxes = followed_boxes(trail, expected_px, finder.size, finder.card)
     if boxes is None or np.isnan(expected.ranges[boxes.present & (expected.pairs > 0), 0]).any():
         return None
-    masks = moved_masks(trail, expected_px) if masks is None else masks
-    present = np.flatnonzero(boxes.present)
+    masks, present = moved_masks(trail, expected_px), np.flatnonzero(boxes.present)
     crops = finder.joint_crops(masks, boxes.boxes_px, expected_px[present], present, expected.pairs[present])
     looked = Detection(masks, boxes, finder.looked(masks, boxes.boxes_px, crops))
     astray = (looked.keypoints.pairs == 1) & _far_from(expected_px[present], looked)
@@ -69,53 +64,6 @@ def followed_hands(
     if np.where(found.keypoints.pairs == 1, gone, lost).any():
         return None
     return found._replace(followed=True)
-
-
-def confirmed_hands(
-    finder: HandFinder, trail: Trail, expected: Expected, masks: np.ndarray, boxes: HandBoxes
-) -> Detection | None:
-    """The hands of the last frame where HandSegNet looks and sees what was expected: nothing is decided anew, and the
-    picture says nothing of their sides.
-
-    Args:
-        finder, trail, expected: as of `followed_hands`.
-        masks: (H, W) of the picture.
-        boxes: of its candidates.
-
-    Returns:
-        None where the clip misses a hand, or is not sure of one's side (`PASSED`), a hand has no candidate in its
-        place, or one is elsewhere, or they cannot be followed there. Hands that the second pair sees the first one
-        sees, too: it knows more of their ranges.
-    """
-    there = np.isfinite(expected.joints_px).all(axis=(1, 2))
-    known = there.any() and not trail.sides.misses_one and (trail.sides.sure(PASSED) & boxes.present)[there].all()
-    if not known or not _in_place(finder, expected.joints_px, boxes):
-        return None
-    found = followed_hands(finder, trail, expected, masks)
-    if found is None:
-        return None
-    found = found._replace(followed=False, side_logits=np.where(there, 0.0, np.nan))
-    seen = found.keypoints
-    rows = np.flatnonzero(seen.pairs)
-    if not len(rows) or found.first is not None:
-        return found
-    first, sides = np.zeros(len(rows), int), seen.sides[rows]
-    crops = finder.joint_crops(masks, found.boxes.boxes_px, seen.joints_px[rows], sides, first)
-    return found._replace(first=seen.replaced(rows, finder.stages.keypoints(crops)))
-
-
-def _in_place(finder: HandFinder, expected_px: np.ndarray, boxes: HandBoxes) -> bool:
-    """Whether candidates are where the hand of their side is expected, joints (2, 21, 2), or, where none is, in the
-    place of the other one: a hand may look like both, unless a body has this one there."""
-    places_px = joint_boxes(expected_px, finder.size, np.full((2, 4), np.nan), finder.card.views.smallest_box_px)
-    known = np.isfinite(places_px).all(axis=1, keepdims=True)
-    in_place = (
-        box_iou(boxes.boxes_px, np.where(known, places_px, places_px[::-1])) >= finder.card.decision.same_place_iou
-    )
-    if finder.body is not None:
-        near = [finder.body.near(box_px)[side] for side, box_px in enumerate(boxes.boxes_px)]
-        in_place &= known[:, 0] | ~(np.array(near) > SURE)
-    return bool(in_place[boxes.present].all())
 
 
 def _far_from(joints_px: np.ndarray, found: Detection) -> np.ndarray:
@@ -142,7 +90,7 @@ def _first_judged(
         return found, first
     present = np.isin([LEFT, RIGHT], sides[first])
     own = Detection(found.masks, replace(found.boxes, present=present), keypoints.rows(np.flatnonzero(first)))
-    judged = finder.rescored(own, followed_assignment(trail, present)).boxes
+    judged = finder.rescored(own, known_assignment(trail, present)).boxes
     doubtful = ~judged.present | (judged.scores < 0.5)
     far = strayed(expected_px[sides], keypoints.joints_px) > FARTHEST[0]
     scores = np.where(present, judged.scores, found.boxes.scores)
@@ -181,13 +129,7 @@ def followed_boxes(
     boxes_px[present] = joint_boxes(expected_px[present], image_size, boxes_px[present], smallest_px)
     if present.all() and box_iou(*boxes_px) >= card.decision.same_place_iou:
         return None
-    return HandBoxes(boxes_px, present, _scores(trail))
-
-
-def followed_assignment(trail: Trail, present: np.ndarray) -> Assignment:
-    """Every hand of those that are followed, (2,) bool, is itself, as surely as when HandSegNet saw it."""
-    source = np.where(present, [LEFT, RIGHT], -1)
-    return Assignment(source, np.where(present, log_odds(_scores(trail)), np.nan))
+    return HandBoxes(boxes_px, present, known_scores(trail))
 
 
 def moved_masks(trail: Trail, expected_px: np.ndarray) -> np.ndarray:
@@ -244,11 +186,6 @@ def similarity(points: np.ndarray, moved: np.ndarray) -> np.ndarray:
     cos, sin = turn / spread if spread > 0 else (1.0, 0.0)
     linear = np.array([[cos, -sin], [sin, cos]])
     return np.column_stack([linear, to - linear @ middle])
-
-
-def _scores(trail: Trail) -> np.ndarray:
-    """(2,) of the hands as HandSegNet saw them; even chances where there is none."""
-    return np.array([0.5 if hand.score is None else hand.score for hand in trail.seen.hands])
 
 
 def going_on(found: Detection, expected: Expected | None) -> np.ndarray:

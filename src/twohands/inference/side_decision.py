@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from twohands.geometry.segmentation import log_odds
 from twohands.inference.decision import FIRST_FEATURES, DecisionConfig
 from twohands.inference.handedness import (
     ANSWERS,
@@ -19,6 +20,7 @@ from twohands.inference.handedness import (
     weight_vector,
 )
 from twohands.inference.side_keeping import SIGNS, SideMemory
+from twohands.inference.trail import Trail
 from twohands.skeleton import LEFT, RIGHT
 
 _BEFORE: Final = [FIRST_FEATURES.index(name) for name in ("was_present", "held", "held_other")]
@@ -48,6 +50,17 @@ def assign_in_clip(
     said = left_logits(probabilities(answer_scores(features, weights)))
     sides = np.where(assignment.source >= 0, SIGNS * said[assignment.source], np.nan)
     return assignment, sides
+
+
+def known_assignment(trail: Trail, present: np.ndarray) -> Assignment:
+    """Every hand of those that are known, (2,) bool, is itself, as surely as when HandSegNet saw it."""
+    source = np.where(present, [LEFT, RIGHT], -1)
+    return Assignment(source, np.where(present, log_odds(known_scores(trail)), np.nan))
+
+
+def known_scores(trail: Trail) -> np.ndarray:
+    """(2,) of the hands as HandSegNet saw them; even chances where there is none."""
+    return np.array([0.5 if hand.score is None else hand.score for hand in trail.seen.hands])
 
 
 def left_logits(chances: np.ndarray) -> np.ndarray:
