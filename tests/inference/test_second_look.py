@@ -21,8 +21,8 @@ from twohands.inference.estimator import HandEstimator
 from twohands.inference.keypoints import Keypoints
 from twohands.inference.range_sigma import with_sources
 from twohands.inference.second_look import knows_better, second_features, seen_twice
-from twohands.inference.stages import StageTruth
 from twohands.inference.side_keeping import NOTHING_KNOWN
+from twohands.inference.stages import StageTruth
 from twohands.inference.trail import Trail
 from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
 from twohands.types import HandCrop, TwoHandPose

@@ -88,3 +88,17 @@ def test_a_hand_is_where_its_joints_are_not_where_its_mask_is():
     assert assign_in_clip(evidence, with_arm, rules, memory)[0].source.tolist() == [-1, 1]
     seen_px = np.array([BOXES[0], BOXES[0]])
     assert assign_in_clip(evidence, seen_px, rules, memory)[0].source.tolist() == [0, -1]
+
+
+def test_of_two_candidates_that_are_one_hand_is_known_what_is_of_either():
+    """Named case: a still left hand, its side unsure in every picture, was missed and then the right one: the joints of
+    the second candidate lay on its arm, where less was known, and that counted for both together as the right hand."""
+    evidence = known(
+        (-9.0, -9.0), boxes_px=BOXES[[0, 0]], merged_pose=np.array([1.0, 3.0]), merged_joints=np.array([0.8, 0.8])
+    )
+    rules = DecisionConfig({"merged_pose": 1.0, "both": -20.0})
+    seen_px = np.array([BOXES[0], BOXES[0] + [500, 0, 500, 0]])
+    memory = remembered(np.array([BOXES[0], [np.nan] * 4]), (4.0, np.nan))
+    assert abs(memory.left_logits(seen_px)[1]) < 0.01
+    assert assign_handedness(evidence, rules).source.tolist() == [-1, 1]
+    assert assign_in_clip(evidence, seen_px, rules, memory)[0].source.tolist() == [0, -1]

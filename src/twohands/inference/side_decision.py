@@ -44,7 +44,8 @@ def assign_in_clip(
         says; NaN for an absent one.
     """
     features, weights = first_features(evidence), weight_vector(config.first, FIRST_FEATURES)
-    scores = answer_scores(features, weights) + _side_scores(memory.left_logits(seen_px))
+    known = memory.left_logits(seen_px)
+    scores = answer_scores(features, weights) + _side_scores(known, evidence.merged_pose is not None)
     assignment = best_answer(scores)
     weights[_BEFORE] = 0.0
     said = left_logits(probabilities(answer_scores(features, weights)))
@@ -71,13 +72,16 @@ def left_logits(chances: np.ndarray) -> np.ndarray:
     return np.log((left + 1e-6) / (right + 1e-6))
 
 
-def _side_scores(known: np.ndarray) -> np.ndarray:
+def _side_scores(known: np.ndarray, merged: bool) -> np.ndarray:
     """(7,) what the answers gain by what is known, (2,) log-odds of either candidate's being the left hand: 0 where
     nothing is. Of a pair, the difference counts: two candidates in the place of one remembered hand are no less likely
-    a pair for that, and only one of them is that hand."""
+    a pair for that, and only one of them is that hand. Of candidates that are `merged` a hand alone is both together:
+    of it is known what is of the one of which more is."""
     scores = np.zeros(len(ANSWERS))
+    together = known[np.argmax(np.abs(known))]
     for number, (left, right) in enumerate(ANSWERS):
+        alone = np.full(2, together) if merged and -1 in (left, right) else known
         if left >= 0 or right >= 0:
-            lead = (known[left] if left >= 0 else 0.0) - (known[right] if right >= 0 else 0.0)
+            lead = (alone[left] if left >= 0 else 0.0) - (alone[right] if right >= 0 else 0.0)
             scores[number] = np.log(2.0) - np.logaddexp(0.0, -lead)
     return scores
