@@ -147,8 +147,8 @@ def main() -> int:
         identity = "+".join(weights_id(folder, read_card(folder)) for folder in folders)
         pictures = gathered(options, "+".join([identity, *map(views_id, folders)]))
         config = card.decision
-        summary = cross_validated(pictures, config, fit_bodies if options.bodies else fit)
-        fitted = fit_bodies(pictures, config) if options.bodies else fit(pictures, config)
+        fitting = fit_bodies if options.bodies else fit
+        summary, fitted = cross_validated(pictures, config, fitting), fitting(pictures, config)
         kinds = {kind: sum(one.kind == kind for one in pictures) for kind in dict.fromkeys(p.kind for p in pictures)}
         fitted = replace(fitted, fit={"weights": identity, "pictures": kinds, "penalty": PENALTY, **summary})
         if not options.dry_run:
@@ -469,7 +469,7 @@ def named(weights: np.ndarray, names: Sequence[str]) -> dict[str, float]:
 def cross_validated(
     pictures: Sequence[Seen],
     config: DecisionConfig,
-    fit: Callable[[Sequence[Seen], DecisionConfig], DecisionConfig] = fit,
+    fitting: Callable[[Sequence[Seen], DecisionConfig], DecisionConfig] = fit,
 ) -> dict[str, object]:
     """Prints errors by kind and a reliability table, every scene by weights fitted to other scenes; a summary."""
     rows: dict[str, np.ndarray] = {}
@@ -480,7 +480,7 @@ def cross_validated(
         outside = [one for one in pictures if one.scene % FOLDS != fold]
         if not inside or not outside:
             continue
-        fitted = fit(renumbered(outside), config)
+        fitted = fitting(renumbered(outside), config)
         for one, before in with_before(renumbered(inside), fitted):
             answer, kept, logits = answered(one, before, fitted)
             outcome = np.where(kept, one.outcome[answer], 0)

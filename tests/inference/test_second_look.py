@@ -9,6 +9,7 @@ import pytest
 from scripts import fit_second_look
 from scripts.fit_second_look import Both
 from tests.datasets.photographed import write_digits
+from tests.inference.test_following import surely
 from tests.oracles import Oracle, drawn_hands, make_card
 
 from twohands.geometry.body import Body
@@ -21,7 +22,6 @@ from twohands.inference.estimator import HandEstimator
 from twohands.inference.keypoints import Keypoints
 from twohands.inference.range_sigma import with_sources
 from twohands.inference.second_look import knows_better, second_features, seen_twice
-from twohands.inference.side_keeping import NOTHING_KNOWN
 from twohands.inference.stages import StageTruth
 from twohands.inference.trail import Trail
 from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
@@ -423,10 +423,7 @@ def test_hands_in_their_places_are_seen_by_both_pairs_and_not_mirrored():
     first = two.estimate()
     for crops in two.seen:
         crops.clear()
-    memory = NOTHING_KNOWN
-    for _ in range(5):
-        memory = memory.after(first)
-    again = two.estimate(Trail((first,), first, sides=memory), 1)
+    again = two.estimate(Trail((first,), first, sides=surely(first)), 1)
     assert not again.followed and [hand.pair for hand in again.hands] == [1, 0] and again.left.side_logit == 0
     assert [crop.side for crop in two.seen[1]] == [LEFT]
     assert [crop.side for crop in two.seen[0]] == [LEFT, RIGHT]

@@ -16,7 +16,6 @@ from twohands.geometry.segmentation import HandBoxes, as_one_hand, box_evidence,
 from twohands.inference.body import SURE
 from twohands.inference.expected import FARTHEST, strayed
 from twohands.inference.handedness import (
-    PASSED,
     UNCHECKED,
     Assignment,
     Before,
@@ -78,7 +77,12 @@ class CandidateViews(NamedTuple):
     """
 
     alone: dict[tuple[int, int], Keypoints]
-    merged: Keypoints | None
+    merged: Keypoints | None = None
+
+    @classmethod
+    def of(cls, seen: Keypoints) -> CandidateViews:
+        """Of candidates that were seen once, each as the hand that HandSegNet took it for."""
+        return cls({(side, side): seen.rows([i]) for i, side in enumerate(seen.sides)})
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,33 +163,42 @@ class HandFinder(HandLooker):
             found: candidates, each as the hand that HandSegNet took it for.
             trail: of the clip; None of a picture alone.
         """
-        if (again := None if trail is None else self._confirmed(found, trail)) is not None:
+        again = self._confirmed(found, trail)
+        if again is not None:
             return again
         before, known = (None, NOTHING_KNOWN) if trail is None else (Before.of(trail.last[-1]), trail.sides)
         evidence, views = self.evidence(found, before)
         seen_px = self.joint_boxed(found.boxes, found.keypoints).boxes_px
         assignment, side_logits = assign_in_clip(evidence, seen_px, self.card.decision, known)
-        assigned, changed = self.assigned(found, assignment, views)
-        recropped = self.recropped(assigned._replace(side_logits=side_logits), changed)
-        kept = self.rescored(recropped, assignment, evidence.checks(assignment.source))
-        return self.seen_better(kept, assigned.boxes.boxes_px)
+        checks = evidence.checks(assignment.source)
+        return self.seen_better(*self._carried_out(found, assignment, views, side_logits, checks))
 
-    def _confirmed(self, found: Detection, trail: Trail) -> Detection | None:
+    def _confirmed(self, found: Detection, trail: Trail | None) -> Detection | None:
         """The hands of the last frame, of whose sides the clip is sure, where the candidates are these: the picture is
         asked nothing of their sides. None where they are not, or one is no hand by the last decision."""
-        if self.expected is None or trail.sides.misses_one:
+        if trail is None or self.expected is None or trail.sides.misses_one:
             return None
-        expected_px = self.expected.joints_px
-        there = np.asarray(np.isfinite(expected_px).all(axis=(1, 2)))
-        sure = trail.sides.sure(PASSED) & found.boxes.present
-        if not there.any() or not sure[there].all() or not self._in_place(found.boxes, expected_px):
+        there = self.expected.present
+        sure = trail.sides.sure & found.boxes.present
+        if not there.any() or not sure[there].all() or not self._in_place(found.boxes, self.expected.joints_px):
             return None
-        assignment, seen = known_assignment(trail, there), found.keypoints
-        views = CandidateViews({(side, side): seen.rows([i]) for i, side in enumerate(seen.sides)}, None)
+        assignment, said = known_assignment(trail, there), np.where(there, 0.0, np.nan)
+        kept, boxes_px = self._carried_out(found, assignment, CandidateViews.of(found.keypoints), said)
+        return self.seen_better(kept, boxes_px) if (kept.boxes.present == there).all() else None
+
+    def _carried_out(
+        self,
+        found: Detection,
+        assignment: Assignment,
+        views: CandidateViews,
+        side_logits: np.ndarray,
+        checks: np.ndarray = UNCHECKED,
+    ) -> tuple[Detection, np.ndarray]:
+        """The hands of an assignment that are still ones after the last view of them, and the boxes (2, 4) in which
+        they were first seen; `checks` as of `last_look`."""
         assigned, changed = self.assigned(found, assignment, views)
-        assigned = assigned._replace(side_logits=np.where(there, 0.0, np.nan))
-        kept = self.rescored(self.recropped(assigned, changed), assignment)
-        return self.seen_better(kept, assigned.boxes.boxes_px) if (kept.boxes.present == there).all() else None
+        recropped = self.recropped(assigned._replace(side_logits=side_logits), changed)
+        return self.rescored(recropped, assignment, checks), assigned.boxes.boxes_px
 
     def _in_place(self, boxes: HandBoxes, expected_px: np.ndarray) -> bool:
         """Whether candidates are where the hand of their side is expected, joints (2, 21, 2), or, where none is, in the
@@ -210,7 +223,7 @@ class HandFinder(HandLooker):
         """
         rules, boxes, seen = self.card.decision, found.boxes, found.keypoints
         pose, joints = np.full((2, 2, 2), np.nan)
-        alone = {(side, side): seen.rows([i]) for i, side in enumerate(seen.sides)}
+        alone = CandidateViews.of(seen).alone
         doubtful = bool((seen.hand_logits < rules.mirror_below_logit).any())
         mirrored, merged = self._seen_again(found, doubtful, box_iou(*boxes.boxes_px) >= rules.same_place_iou)
         if mirrored is not None:

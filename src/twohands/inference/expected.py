@@ -60,6 +60,11 @@ class Expected(NamedTuple):
         """(2, 21, 2) where the hands will be, as the pair would see them whose joints counted."""
         return self.seen_px[self.pairs, [LEFT, RIGHT]]
 
+    @property
+    def present(self) -> np.ndarray:
+        """(2,) bool, which hands are expected."""
+        return np.asarray(np.isfinite(self.joints_px).all(axis=(1, 2)))
+
 
 def as_expected(pose: TwoHandPose, trail: Trail | None) -> bool:
     """Whether hands may be followed from this frame on: the same sides are there as before, and hands that the first
@@ -68,7 +73,7 @@ def as_expected(pose: TwoHandPose, trail: Trail | None) -> bool:
     if trail is None:
         return False
     pairs, expected, found_px = _pairs(pose), Expected.of(trail, clock(pose)), joints_of(pose)
-    known = np.isfinite(expected.joints_px).all(axis=(1, 2))
+    known = expected.present
     if (known != np.isfinite(found_px).all(axis=(1, 2))).any():
         return False
     first_px = np.where(np.isfinite(expected.seen_px[0]), expected.seen_px[0], expected.joints_px)

@@ -80,8 +80,8 @@ def _side_scores(known: np.ndarray, merged: bool) -> np.ndarray:
     scores = np.zeros(len(ANSWERS))
     together = known[np.argmax(np.abs(known))]
     for number, (left, right) in enumerate(ANSWERS):
-        alone = np.full(2, together) if merged and -1 in (left, right) else known
+        hands = np.full(2, together) if merged and -1 in (left, right) else known
         if left >= 0 or right >= 0:
-            lead = (alone[left] if left >= 0 else 0.0) - (alone[right] if right >= 0 else 0.0)
+            lead = (hands[left] if left >= 0 else 0.0) - (hands[right] if right >= 0 else 0.0)
             scores[number] = np.log(2.0) - np.logaddexp(0.0, -lead)
     return scores

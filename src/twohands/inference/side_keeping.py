@@ -21,6 +21,8 @@ from twohands.types import HandPose, TwoHandPose
 
 SIGNS: Final = (1.0, -1.0)
 """Of log-odds that a hand is the left one, for LEFT and RIGHT."""
+SURE_SIDE: Final = 3.0
+"""Log-odds of a hand's side from which on a clip need not ask a picture (docs/decision.md, *Beside the decision*)."""
 _SAME: Final = 0.5
 """Nearness from which on a hand is rather the one that was expected there than another."""
 
@@ -62,9 +64,10 @@ class SideMemory:
         """Whether a hand that was there, and is not forgotten, was not seen in the last frame."""
         return any(track is not None and track.unseen > 0 for track in self.tracks)
 
-    def sure(self, logit: float) -> np.ndarray:
-        """(2,) bool, whether LEFT and RIGHT are that hand by at least so much, log-odds."""
-        return np.array([track is not None and track.logit >= logit for track in self.tracks])
+    @property
+    def sure(self) -> np.ndarray:
+        """(2,) bool, whether LEFT and RIGHT are surely that hand (`SURE_SIDE`)."""
+        return np.array([track is not None and track.logit >= SURE_SIDE for track in self.tracks])
 
     def nearness(self, boxes_px: np.ndarray) -> np.ndarray:
         """(N, 2) 0..1, how well each hand of the next frame, boxes (N, 4), agrees with where LEFT and RIGHT should be;
