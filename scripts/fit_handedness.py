@@ -6,8 +6,9 @@
 
 PEOPLE, WILD and PAPER are made by `twohands generate frames` with seeds that no network was trained on; of PEOPLE_2
 those are taken that show both hands near each other, of the digits those for training, of the photographs
-`--photographs` without hands. Some frames also come as a part of them with an arm and no hand, and every other picture
-as a video's next one: moved a little, with the answer for the picture before it known.
+`--photographs` without hands; `--elsewhere` digits are cut out and put before rooms and the frames. Some frames also
+come as a part of them with an arm and no hand, and every other picture as a video's next one: moved a little, with the
+answer for the picture before it known.
 
 With `--judges`, the pose networks of other weights look at the same candidates, too. Networks know the pictures that
 they learned from, and generated ones like them, better than anyone's camera: who trusts PoseNet2D as much as it is
@@ -29,7 +30,7 @@ import math
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -75,10 +76,15 @@ NEAR: Final = 0.4
 """A hand is a true one whose palm is nearer than this, as a share of the true one's longer side."""
 PENALTY: Final = 10.0
 """Of half the square of a weight times its feature's standard deviation; 1 and 30 are alike in pictures held out."""
-BODY_FEATURES: Final = tuple(name for name in FIRST_FEATURES if "body" in name)
-BODY_TRUST: Final = 2.0
-"""Added to the fitted weights of whether a body's hand should be there. Networks that learnt from rendered people know
-these better than real ones, and networks of bodies worse (docs/history/journal.md, *Bodies*)."""
+FEATURES: Final = {
+    "bodies": tuple(name for name in FIRST_FEATURES if "body" in name),
+    "palms": tuple(name for name in FIRST_FEATURES if "palm" in name),
+}
+"""What published networks say that a picture may show or not."""
+TRUST: Final = {"body": 2.0, "merged_body": 2.0, "palm": 0.15, "merged_palm": 0.15}
+"""Added to the fitted weights of whether a body's hand should be there, and of a palm that passes. Networks that learnt
+from rendered people know these better than real ones, and networks of bodies and palms worse
+(docs/history/journal.md, *Bodies* and *Palms*)."""
 FOLDS: Final = 5
 TOUCHING: Final = 0.75
 """Distance of their palms, in sides of the larger hand's box, below which two hands are near each other: people keep
@@ -135,7 +141,7 @@ def main() -> int:
     parser.add_argument("--judges", nargs="*", default=[], help="weights folders or presets: see above")
     add_picture_options(parser, count=1000, digits=150, photographs=100)
     parser.add_argument("--cache", type=Path, required=True, help="file of evidence; read where it is there")
-    parser.add_argument("--bodies", action="store_true", help="fit what bodies say alone; all else stays as it is")
+    parser.add_argument("--only", choices=list(FEATURES), help="fit what these say alone; all else stays as it is")
     parser.add_argument("--dry-run", action="store_true", help="leave the card alone")
     options = parser.parse_args()
     try:
@@ -147,10 +153,11 @@ def main() -> int:
         identity = "+".join(weights_id(folder, read_card(folder)) for folder in folders)
         pictures = gathered(options, "+".join([identity, *map(views_id, folders)]))
         config = card.decision
-        fitting = fit_bodies if options.bodies else fit
+        fitting = fit if options.only is None else partial(fit_only, options.only)
         summary, fitted = cross_validated(pictures, config, fitting), fitting(pictures, config)
         kinds = {kind: sum(one.kind == kind for one in pictures) for kind in dict.fromkeys(p.kind for p in pictures)}
-        fitted = replace(fitted, fit={"weights": identity, "pictures": kinds, "penalty": PENALTY, **summary})
+        described = {"weights": identity, "pictures": kinds, "penalty": PENALTY, **summary}
+        fitted = replace(fitted, fit=described if options.only is None else {**config.fit, options.only: described})
         if not options.dry_run:
             write_decision(options.preset, fitted)
     except TwoHandsError as error:
@@ -200,6 +207,7 @@ def add_picture_options(parser: argparse.ArgumentParser, *, count: int, digits: 
     parser.add_argument("--count", type=int, default=count, help="of pictures of every folder, at most")
     parser.add_argument("--digits", type=Path, help="folder of photographed digits")
     parser.add_argument("--digits-count", type=int, default=digits)
+    parser.add_argument("--elsewhere", type=int, default=0, help="pictures of these hands before rooms and the frames")
     parser.add_argument("--backgrounds", type=Path, nargs="*", default=[], help="folders of photographs and panoramas")
     parser.add_argument("--photographs", type=int, default=photographs, help="backgrounds without hands, at most")
     parser.add_argument("--seed", type=int, default=1)
@@ -213,6 +221,7 @@ def planned(options: argparse.Namespace) -> list[tuple[str, Callable[[], HandSam
     """
     from twohands.synth.sets.cache import FrameCache
     from twohands.training.config import DataConfig, folder_list
+    from twohands.training.cutouts import CutoutScenes
     from twohands.training.hand_views import part_without_hands
     from twohands.training.sources import backgrounds_of
 
@@ -233,6 +242,9 @@ def planned(options: argparse.Namespace) -> list[tuple[str, Callable[[], HandSam
         digits = Digits(options.digits, "training")
         numbers = np.linspace(0, len(digits) - 1, min(options.digits_count, len(digits))).astype(int)
         plan += [("digits", partial(digits.__getitem__, int(number))) for number in numbers]
+        people = [FrameCache(folder, behind) for folder in options.frames if options.elsewhere]
+        scenes = CutoutScenes(digits, behind, people, seed=options.seed, variants=1 + options.elsewhere // len(digits))
+        plan += [("digits elsewhere", partial(scenes.__getitem__, i)) for i in range(options.elsewhere)]
     if options.backgrounds:
         of = partial(photograph, behind, options.seed)
         plan += [("photographs", partial(of, number)) for number in range(options.photographs)]
@@ -307,7 +319,8 @@ def seen(estimator: HandEstimator, sample: HandSample, kind: str, scene: int, ea
     """Looks at one picture, and at what would be left of it after every answer."""
     body = estimator.body(sample.image)
     masks, boxes = estimator.segment(sample.image, body=body)
-    finder = HandFinder(estimator.stages, estimator.card, sample.image, sample.camera, body=body)
+    palms = cache(partial(estimator.palms, sample.image))
+    finder = HandFinder(estimator.stages, estimator.card, sample.image, sample.camera, body=body, palms=palms)
     sides = np.flatnonzero(boxes.present)
     last, distance = np.full((len(ANSWERS), 2, 3), np.nan), np.full(len(ANSWERS), np.inf)
     boxes_px, outcome = np.full((len(ANSWERS), 2, 4), np.nan), np.zeros((len(ANSWERS), 2), int)
@@ -333,13 +346,24 @@ def seen(estimator: HandEstimator, sample: HandSample, kind: str, scene: int, ea
             outcome[answer][there] = outcome[same][there]
             continue
         assignment = Assignment(source, np.where(source >= 0, 0.0, np.nan))
-        after = finder.recropped(*finder.assigned(found, assignment, views))
+        assigned, changed = finder.assigned(found, assignment, views)
+        after = finder.recropped(assigned, changed)
         look = finder.last_look(after, assignment)
         last[answer] = np.stack([look.pose, look.joints, look.size], axis=-1)
         distance[answer], boxes_px[answer] = look.palm_distance, after.boxes.boxes_px
-        for row, side in enumerate(after.keypoints.sides):
-            outcome[answer, side] = outcome_of(after.keypoints.joints_px[row], int(side), sample)
+        outcome[answer, after.keypoints.sides] = outcomes(finder, after, assigned.boxes.boxes_px, sample)
     return Seen(kind, scene, sample.present, evidence, last, distance, boxes_px, outcome, earlier)
+
+
+def outcomes(finder: HandFinder, after: Detection, boxes_px: np.ndarray, sample: HandSample) -> list[int]:
+    """What the hands of an answer are, in boxes (2, 4): by their joints, or, where these are on no hand, by those of
+    the second pose networks if they count. The first ones do not know all hands that others know."""
+    found = [outcome_of(after.keypoints.joints_px[row], side, sample) for row, side in enumerate(after.keypoints.sides)]
+    if INVENTED not in found or not np.any(sample.present):
+        return found
+    better = finder.seen_better(after, boxes_px).keypoints.joints_px
+    hands = zip(found, better, after.keypoints.sides, strict=True)
+    return [outcome_of(joints_px, side, sample) if one == INVENTED else one for one, joints_px, side in hands]
 
 
 def outcome_of(joints_px: np.ndarray, side: int, sample: HandSample) -> int:
@@ -366,16 +390,18 @@ def fit(pictures: Sequence[Seen], config: DecisionConfig) -> DecisionConfig:
     return trusting(fitted_last(known, fitted_first(known, config)))
 
 
-def fit_bodies(pictures: Sequence[Seen], config: DecisionConfig) -> DecisionConfig:
-    """The weights of what bodies say, beside all others as they are: where nobody is seen, decisions stay the same."""
-    known: list[tuple[Seen, Before | None]] = [(one, None) for one in pictures if one.evidence.body is not None]
-    given = {name: 0.0 for name in FIRST_FEATURES} | dict(config.first) | dict.fromkeys(BODY_FEATURES, math.nan)
-    return trusting(fitted_first(known, config, weight_vector(given, FIRST_FEATURES)))
+def fit_only(says: str, pictures: Sequence[Seen], config: DecisionConfig) -> DecisionConfig:
+    """The weights of what "bodies" or "palms" say, beside all others as they are: where nobody is seen, or no palm that
+    passes, decisions stay the same."""
+    shown = {"bodies": lambda one: one.body is not None, "palms": lambda one: np.isfinite(one.palm).any()}[says]
+    known: list[tuple[Seen, Before | None]] = [(one, None) for one in pictures if shown(one.evidence)]
+    given = {name: 0.0 for name in FIRST_FEATURES} | dict(config.first) | dict.fromkeys(FEATURES[says], math.nan)
+    return trusting(fitted_first(known, config, weight_vector(given, FIRST_FEATURES)), FEATURES[says])
 
 
-def trusting(config: DecisionConfig) -> DecisionConfig:
-    """With bodies trusted by `BODY_TRUST` more than the fit says."""
-    trusted = {name: config.first[name] + BODY_TRUST for name in ("body", "merged_body")}
+def trusting(config: DecisionConfig, names: Sequence[str] = tuple(TRUST)) -> DecisionConfig:
+    """With the features of these names trusted by `TRUST` more than the fit says."""
+    trusted = {name: round(config.first[name] + TRUST[name], 4) for name in names if name in TRUST}
     return replace(config, first={**config.first, **trusted})
 
 
@@ -573,6 +599,7 @@ ARRAYS: Final[dict[str, Callable[[Seen], object]]] = {
     "merged_joints": lambda one: _or_nan(one.evidence.merged_joints),
     "check": lambda one: one.evidence.check,
     "merged_check": lambda one: one.evidence.merged_check,
+    "palm": lambda one: one.evidence.palm,
     "palm_distance": lambda one: one.evidence.palm_distance,
     "body": lambda one: _body_row(one.evidence.body),
 } | {f.name: lambda one, name=f.name: getattr(one.evidence.maps, name) for f in fields(BoxEvidence)}
@@ -606,7 +633,7 @@ def _picture(row: dict[str, np.ndarray]) -> Seen:
     together = (None, None) if np.isnan(row["merged_pose"]).any() else (row["merged_pose"], row["merged_joints"])
     size = int(row["image_size"][0]), int(row["image_size"][1])
     distance = float(row["palm_distance"])
-    checks = row["check"], row["merged_check"]
+    checks = row["check"], row["merged_check"], row["palm"]
     said = maps, row["pose"], row["joints"], *together, distance, None, *checks, _body(row["body"])
     evidence = Evidence(size, row["boxes_px"], *said)
     numbers = row["last"], row["distance"], row["answer_boxes_px"], row["outcome"], int(row["earlier"])

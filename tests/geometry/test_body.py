@@ -10,9 +10,8 @@ from twohands.geometry.body import (
     body_of,
     body_square,
     found_body,
-    picture_square,
 )
-from twohands.geometry.boxes import apply_homography
+from twohands.geometry.boxes import apply_homography, picture_square
 
 ANCHORS = 28 * 28 * 2 + 14 * 14 * 2 + 7 * 7 * 6
 WRIST, LITTLE, FIRST, THUMB = (15, 16), (17, 18), (19, 20), (21, 22)
@@ -46,7 +45,7 @@ def standing() -> np.ndarray:
 @pytest.mark.parametrize("size", [(480, 640), (640, 480), (100, 100)])
 def test_a_picture_fits_the_finders_square(size):
     corners = np.array([[0.0, 0], [size[1], size[0]]])
-    seen = apply_homography(np.linalg.inv(picture_square(size)), corners)
+    seen = apply_homography(np.linalg.inv(picture_square(size, FINDER_SIZE)), corners)
     assert seen.min() == pytest.approx(0) and seen.max() == pytest.approx(FINDER_SIZE)
     np.testing.assert_allclose(seen.mean(axis=0), FINDER_SIZE / 2)  # in its middle
 

@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 from scripts.fit_handedness import (
-    BODY_FEATURES,
-    BODY_TRUST,
     COLUMNS,
+    FEATURES,
     INVENTED,
     RIGHTLY,
+    TRUST,
     WRONG_SIDE,
     Choices,
     Seen,
@@ -17,7 +17,7 @@ from scripts.fit_handedness import (
     counted,
     cross_validated,
     fit,
-    fit_bodies,
+    fit_only,
     judged_by,
     likeliest,
     load,
@@ -25,6 +25,7 @@ from scripts.fit_handedness import (
     moved,
     near,
     outcome_of,
+    outcomes,
     renumbered,
     right_answers,
     save,
@@ -32,16 +33,19 @@ from scripts.fit_handedness import (
     side_changed,
     write_decision,
 )
-from tests.oracles import Oracle, drawn_hands, make_card, write_tiny_weights
+from tests.oracles import Oracle, drawn_hands, hand_masks, make_card, write_tiny_weights
 
 from twohands.errors import InputError
 from twohands.geometry.body import Body
-from twohands.geometry.segmentation import BoxEvidence
+from twohands.geometry.segmentation import BoxEvidence, HandBoxes
 from twohands.inference.decision import DecisionConfig
+from twohands.inference.detection import Detection
 from twohands.inference.estimator import HandEstimator
 from twohands.inference.handedness import ANSWERS, Before, Evidence, answer_scores, first_features, probabilities
+from twohands.inference.keypoints import Keypoints
 from twohands.inference.weights import read_card
-from twohands.skeleton import LEFT
+from twohands.skeleton import LEFT, RIGHT
+from twohands.types import HandCrop
 
 NO = np.nan
 
@@ -163,14 +167,48 @@ def test_bodies_are_fitted_beside_what_there_is():
         palms_px = palms_px if one.present.any() else palms_px + 500
         body = Body(palms_px, np.zeros((2, 4)), np.array([0.9, 0.9]), *np.zeros((2, 2, 2)))
         seen.append(one._replace(evidence=dataclasses.replace(one.evidence, body=body)))
-    fitted = fit_bodies([*seen, *pictures], config)
-    assert set(BODY_FEATURES) == {name for name in fitted.first if fitted.first[name] != config.first[name]} | {
+    fitted = fit_only("bodies", [*seen, *pictures], config)
+    assert set(FEATURES["bodies"]) == {name for name in fitted.first if fitted.first[name] != config.first[name]} | {
         "body_both", "merged_body", "merged_body_side", "merged_body_both"  # say nothing of one hand that is alone
     }  # fmt: skip
     assert fitted.last == config.last
-    assert fitted.first["body"] > BODY_TRUST + 0.2 and fitted.first["body_side"] > 0.2
+    assert fitted.first["body"] > TRUST["body"] + 0.2 and fitted.first["body_side"] > 0.2
     for one in pictures:
         assert answered(one, None, fitted)[0] == answered(one, None, config)[0]
+
+
+def test_palms_are_fitted_beside_what_there_is():
+    """A palm passes where there is a hand, of its side; what shows none, or one that fails, is decided as before."""
+    rng = np.random.default_rng(3)
+    pictures = [judged_picture(rng, scene) for scene in range(200)]
+    config, seen = fit(pictures, DecisionConfig()), []
+    for one in pictures:
+        palm = np.full((3, 3), NO)
+        palm[0] = [0.9, 6.0 if one.present.any() else 2.0, 4.0 if one.present[LEFT] else -4.0]
+        seen.append(one._replace(evidence=dataclasses.replace(one.evidence, palm=palm)))
+    fitted = fit_only("palms", [*seen, *pictures], config)
+    assert {name for name in fitted.first if fitted.first[name] != config.first[name]} == {"palm", "palm_side"}
+    assert fitted.first["palm"] > TRUST["palm"] + 0.2 and fitted.first["palm_side"] > 0.2 and fitted.last == config.last
+    for one, without in zip(seen, pictures, strict=True):
+        if not one.present.any():
+            assert answered(one, None, fitted)[0] == answered(without, None, config)[0]
+
+
+def test_hands_that_only_the_second_pose_networks_know_are_no_inventions():
+    """By the first ones' joints a hand is nowhere; by those of the others it is the right one."""
+    sample = drawn_hands(7)
+    known, nowhere = sample.joints_px, sample.joints_px + 1000
+    crops = [HandCrop(np.zeros((8, 8, 3), np.uint8), np.eye(3), side, False) for side in (LEFT, RIGHT)]
+    seen = Keypoints(crops, [], nowhere, np.ones((2, 21)), np.zeros(2))
+    after = Detection(hand_masks(sample), HandBoxes(np.zeros((2, 4)), np.array([True, True]), np.ones(2)), seen)
+
+    class Finder:
+        def seen_better(self, found, boxes_px):
+            return found._replace(keypoints=dataclasses.replace(found.keypoints, joints_px=known[[0, 0]]))
+
+    assert outcomes(Finder(), after, np.zeros((2, 4)), sample) == [RIGHTLY, WRONG_SIDE]
+    nobody = dataclasses.replace(sample, present=np.zeros(2, bool))
+    assert outcomes(None, after, np.zeros((2, 4)), nobody) == [INVENTED, INVENTED]  # and nobody is asked
 
 
 def test_hands_near_each_other_are_told_from_hands_apart():

@@ -68,7 +68,7 @@ def test_it_sees_the_picture_as_it_is_around_the_joints():
 
 def test_what_it_says_of_every_candidate_is_evidence():
     asked = []
-    here, found = finder(lambda image, joints_px: asked.append(joints_px) or SAID[: len(joints_px)])
+    here, found = finder(lambda image, joints_px, palms: asked.append(joints_px) or SAID[: len(joints_px)])
     evidence, _ = here.evidence(found, None)
     np.testing.assert_allclose(evidence.check, SAID[:2])
     assert np.isnan(evidence.merged_check).all()
@@ -83,14 +83,14 @@ def test_it_is_not_asked_where_posenet2d_is_sure_of_every_candidate():
 
 
 def test_two_candidates_in_one_place_are_also_checked_as_one_hand():
-    here, found = finder(lambda image, joints_px: SAID[: len(joints_px)], same_place_iou=0.0)
+    here, found = finder(lambda image, joints_px, palms: SAID[: len(joints_px)], same_place_iou=0.0)
     evidence, _ = here.evidence(found, None)
     np.testing.assert_allclose(evidence.check, SAID[:2])
     np.testing.assert_allclose(evidence.merged_check, SAID[2])
 
 
 def test_a_candidate_that_is_alone_is_checked_alone():
-    here, found = finder(lambda image, joints_px: SAID[: len(joints_px)])
+    here, found = finder(lambda image, joints_px, palms: SAID[: len(joints_px)])
     alone = found._replace(keypoints=found.keypoints.rows([RIGHT]))
     evidence, _ = here.evidence(alone, None)
     np.testing.assert_allclose(evidence.check[RIGHT], SAID[0])
@@ -105,11 +105,11 @@ def test_without_it_nothing_is_said():
 
 def test_what_it_says_of_the_hands_of_an_answer():
     """Of exchanged candidates that of the other one, of two in one place that of both together where it is surer."""
-    here, found = finder(lambda image, joints_px: SAID[: len(joints_px)])
+    here, found = finder(lambda image, joints_px, palms: SAID[: len(joints_px)])
     apart, _ = here.evidence(found, None)
     np.testing.assert_allclose(apart.checks(np.array([1, 0])), SAID[[1, 0], 0])
     np.testing.assert_allclose(apart.checks(np.array([-1, 1])), [np.nan, SAID[1, 0]])
-    here, found = finder(lambda image, joints_px: SAID[: len(joints_px)], same_place_iou=0.0)
+    here, found = finder(lambda image, joints_px, palms: SAID[: len(joints_px)], same_place_iou=0.0)
     together, _ = here.evidence(found, None)
     np.testing.assert_allclose(together.checks(np.array([0, -1])), [SAID[2, 0], np.nan])
     np.testing.assert_allclose(together.checks(np.array([0, 1])), [SAID[0, 0], SAID[2, 0]], err_msg="the surer word")
@@ -127,7 +127,7 @@ def test_what_it_says_is_weighed_in_the_first_decision_by_hand():
     """Of a left hand its word for a left one, of a right hand against it; of both together features of their own."""
 
     def weighed(answer: tuple[int, int], **decision: float) -> dict[str, float]:
-        here, found = finder(lambda image, joints_px: SAID[: len(joints_px)], **decision)
+        here, found = finder(lambda image, joints_px, palms: SAID[: len(joints_px)], **decision)
         rows = first_features(here.evidence(found, None)[0])
         return dict(zip(FIRST_FEATURES, rows[ANSWERS.index(answer)], strict=True))
 

@@ -12,9 +12,9 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twohands.geometry.boxes import apply_homography, square_crop
+from twohands.geometry.anchors import anchor_middles
+from twohands.geometry.boxes import apply_homography, near_box, upright_square
 from twohands.geometry.segmentation import log_odds, probability
-from twohands.skeleton import LEFT
 
 FINDER_SIZE: Final = 224
 """Rows and columns of the picture in which bodies are found."""
@@ -57,18 +57,7 @@ class Body(NamedTuple):
     def near(self, box_px: NDArray[np.float64]) -> NDArray[np.float64]:
         """(2,) how likely the LEFT and the RIGHT hand are what a box (4,) shows: whether their wrist is visible, less
         the farther the palm is from the box's middle."""
-        off = np.linalg.norm(self.palms_px - (box_px[:2] + box_px[2:]) / 2, axis=1)
-        return self.visible * np.exp(-((off / (_NEAR * max((box_px[2:] - box_px[:2]).max(), 1e-9))) ** 2))
-
-
-_NEAR: Final = 0.6
-"""Distance from a box's middle, in its longer sides, at which a palm counts 1/e."""
-
-
-def picture_square(image_size: tuple[int, int]) -> NDArray[np.float64]:
-    """image_from_crop (3, 3) of the square of `FINDER_SIZE` in which a picture of size (H, W) fits."""
-    height, width = image_size
-    return square_crop(np.array([0.0, 0.0, width, height]), size=FINDER_SIZE, side=LEFT, margin=1.0)
+        return self.visible * near_box(self.palms_px, box_px)
 
 
 def found_body(
@@ -94,12 +83,7 @@ def found_body(
 @cache
 def _anchors() -> NDArray[np.float64]:
     """(N, 2) middles of the anchors in pixels of the finder's input."""
-    rows: list[NDArray[np.float64]] = []
-    for stride, count in _STRIDES:
-        places = np.asarray((np.arange(FINDER_SIZE // stride) + 0.5) * stride, np.float64)
-        v, u = np.meshgrid(places, places, indexing="ij")
-        rows.append(np.repeat(np.column_stack([u.ravel(), v.ravel()]), count, axis=0))
-    return np.concatenate(rows)
+    return anchor_middles(FINDER_SIZE, _STRIDES)
 
 
 def body_square(around_px: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -109,12 +93,9 @@ def body_square(around_px: NDArray[np.float64]) -> NDArray[np.float64]:
         around_px: (2, 2) middle and end, pixels of the picture.
     """
     up = around_px[1] - around_px[0]
-    length = max(float(np.hypot(*up)), 1.0)
-    up = up / length if length > 1 else np.array([0.0, -1.0])
-    scale = 2 * _AROUND * length / JOINTS_SIZE
-    turn = np.array([[-up[1], -up[0]], [up[0], -up[1]]])  # the crop's (0, -1) is up
-    corner = around_px[0] - scale * turn @ np.full(2, JOINTS_SIZE / 2)
-    return np.vstack([np.column_stack([scale * turn, corner]), [0.0, 0.0, 1.0]])
+    length = float(np.hypot(*up))
+    up = up if length > 1 else np.array([0.0, -1.0])
+    return upright_square(around_px[0], up, 2 * _AROUND * max(length, 1.0), JOINTS_SIZE)
 
 
 def body_of(joints: NDArray[np.float64], image_from_crop: NDArray[np.float64]) -> Body:

@@ -35,6 +35,9 @@ _CONTINUED: Final = 0.2
 picture*)."""
 
 
+_NEAR: Final = 0.6
+
+
 def box_from_points(points_px: Array, valid: Array | None = None) -> Array:
     """Tight box around points.
 
@@ -153,6 +156,12 @@ def square_crop(box_px: Array, *, size: int, side: int, margin: float = 1.5) -> 
     return image_from_square @ _mirror(side, size)
 
 
+def picture_square(image_size: tuple[int, int], size: int) -> NDArray[np.float64]:
+    """image_from_crop (3, 3) of the square of `size` pixels a side in which a picture of size (H, W) fits."""
+    height, width = image_size
+    return square_crop(np.array([0.0, 0.0, width, height]), size=size, side=LEFT, margin=1.0)
+
+
 def perspective_crop(
     box_px: Array, camera: PinholeCamera, *, size: int, side: int, margin: float = 1.5
 ) -> NDArray[np.float64]:
@@ -255,12 +264,32 @@ def upright_crop(joints_px: NDArray[np.float64], *, size: int, margin: float) ->
         image_from_crop: (3, 3), for pixels that are not mirrored; of joints that are all in one place, one that shows
         the pixel there.
     """
-    image_from_upright = rotation_about_z(math.radians(-float(upright_roll_deg(joints_px))))[:2, :2]
-    upright = joints_px @ image_from_upright
+    along_px = joints_px[ROOT] - joints_px[WRIST]
+    upright = joints_px @ _image_from_upright(along_px)
     low, high = upright.min(axis=0), upright.max(axis=0)
-    scale = margin * max(float((high - low).max()), 1.0) / size
-    corner = (low + high) / 2 - scale * size / 2
-    return np.vstack([np.column_stack([scale * image_from_upright, image_from_upright @ corner]), [0.0, 0.0, 1.0]])
+    middle_px = _image_from_upright(along_px) @ ((low + high) / 2)
+    return upright_square(middle_px, along_px, margin * max(float((high - low).max()), 1.0), size)
+
+
+def upright_square(
+    middle_px: NDArray[np.float64], along_px: NDArray[np.float64], side_px: float, size: int
+) -> NDArray[np.float64]:
+    """image_from_crop (3, 3) of a square crop of `size` pixels a side, `side_px` of the picture, around a middle (2,),
+    turned so that a direction (2,) of the picture points up."""
+    image_from_upright, scale = _image_from_upright(along_px), side_px / size
+    corner = middle_px - image_from_upright @ np.full(2, side_px / 2)
+    return np.vstack([np.column_stack([scale * image_from_upright, corner]), [0.0, 0.0, 1.0]])
+
+
+def _image_from_upright(along_px: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(2, 2) turn of a picture in which a direction (2,) points up back to where it points."""
+    return rotation_about_z(math.radians(-float(roll_up_deg(along_px))))[:2, :2]
+
+
+def near_box(points_px: NDArray[np.float64], box_px: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N,) how near to a box's middle (4,) points (N, 2) are: 1 there, 1/e at `_NEAR` of its longer sides."""
+    off = np.linalg.norm(points_px - (box_px[:2] + box_px[2:]) / 2, axis=1)
+    return np.exp(-((off / (_NEAR * max((box_px[2:] - box_px[:2]).max(), 1e-9))) ** 2))
 
 
 def ellipse_in(box_px: NDArray[np.float64]) -> NDArray[np.float64]:

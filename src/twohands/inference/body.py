@@ -22,9 +22,8 @@ from twohands.geometry.body import (
     body_of,
     body_square,
     found_body,
-    picture_square,
 )
-from twohands.geometry.boxes import apply_homography, inside_picture, warp_image
+from twohands.geometry.boxes import apply_homography, inside_picture, picture_square, warp_image
 from twohands.geometry.segmentation import UNCERTAIN, HandBoxes
 
 FOUND: Final = 0.8
@@ -62,7 +61,7 @@ def seen_body(networks: BodyNetworks, image: np.ndarray, around_px: np.ndarray |
     known = None if around_px is None else _joints(networks, image, around_px)
     if known is not None:
         return known
-    place = picture_square((image.shape[0], image.shape[1]))
+    place = picture_square((image.shape[0], image.shape[1]), FINDER_SIZE)
     crop = warp_image(image, place, FINDER_SIZE)
     points, logits = networks.finder(crop[None].astype(np.float32) / 127.5 - 1)
     found = found_body(points[0], logits[0, :, 0], FOUND)

@@ -111,11 +111,11 @@ class ViewConfig:
 FIRST_FEATURES: Final = (
     *("hand", "swapped", "energy", "energy_other", "lead", "lead_other", "share"),
     *("pose", "pose_contrast", "mirror_unseen", "joints", "joints_contrast", "check", "check_side", "check_unseen"),
-    *("body", "body_side", "body_both"),
+    *("palm", "palm_side", "body", "body_side", "body_both"),
     *("size", "arm_outside", "arm_below", "arm_outside_below", "outside", "was_present", "held", "held_other"),
     *("merged", "merged_energy", "merged_share", "merged_pose", "merged_pose_contrast", "merged_joints"),
     *("merged_size", "merged_check", "merged_check_side"),
-    *("merged_body", "merged_body_side", "merged_body_both"),
+    *("merged_palm", "merged_palm_side", "merged_body", "merged_body_side", "merged_body_both"),
     *("both", "both_near", "both_in_one_place", "both_overlap", "both_uncrossed", "both_weaker"),
 )
 """What the first decision weighs; `handedness.first_features` says what each is."""

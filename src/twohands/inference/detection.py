@@ -6,12 +6,14 @@ Ours; the paper crops once and takes HandSegNet's word for what it found.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from twohands.geometry.boxes import box_in_picture, box_iou
+from twohands.geometry.palm import palm_in
 from twohands.geometry.segmentation import HandBoxes, as_one_hand, box_evidence, probability
 from twohands.inference.body import SURE
 from twohands.inference.expected import FARTHEST, strayed
@@ -233,23 +235,34 @@ class HandFinder(HandLooker):
         distance = palm_distance(seen.joints_px, boxes.boxes_px) if len(seen.sides) == 2 else math.inf
         together = (None, None) if merged is None else (merged.hand_logits, merged.joint_scores.mean(axis=-1))
         doubtful = doubtful or merged is not None
-        checks = self._checked(seen, merged) if doubtful else np.full((3, 2), np.nan)
+        checks, palms = np.full((3, 2), np.nan), np.full((3, 3), np.nan)
+        if doubtful and (check := self.stages.check) is not None:
+            checks, palms = self._checked(check, boxes, seen, merged)
         maps = boxes.evidence or box_evidence(NO_MAPS, NO_MAPS, np.full((2, 4), np.nan), (1, 1))
-        said = {"check": checks[:2], "merged_check": checks[2], "body": self.body}
+        said = {"check": checks[:2], "merged_check": checks[2], "palm": palms, "body": self.body}
         known = Evidence(self.size, boxes.boxes_px, maps, pose, joints, *together, distance, before, **said)
         return known, CandidateViews(alone, merged)
 
-    def _checked(self, seen: Keypoints, merged: Keypoints | None) -> np.ndarray:
+    def _checked(
+        self, check: Callable[..., np.ndarray], boxes: HandBoxes, seen: Keypoints, merged: Keypoints | None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """(3, 2) HandCheck's log-odds, as in `Evidence.check`, of candidates 0 and 1, and of both as the hand for which
-        they rather pass; NaN for what there is not."""
-        said = np.full((3, 2), np.nan)
-        if self.stages.check is not None:
-            rows, joints_px = [*seen.sides], [*seen.joints_px]
-            if merged is not None:
-                rows.append(2)
-                joints_px.append(merged.joints_px[np.argmax(merged.hand_logits)])
-            said[rows] = self.stages.check(self.image, np.stack(joints_px))
-        return said
+        they rather pass; and (3, 3) of the palms in their places, as in `Evidence.palm`. NaN for what there is not."""
+        said, of_palms = np.full((3, 2), np.nan), np.full((3, 3), np.nan)
+        rows, joints_px, boxes_px = [*seen.sides.tolist()], [*seen.joints_px], [*boxes.boxes_px[seen.sides]]
+        if merged is not None:
+            rows.append(2)
+            joints_px.append(merged.joints_px[np.argmax(merged.hand_logits)])
+            boxes_px.append(np.concatenate([boxes.boxes_px[:, :2].min(axis=0), boxes.boxes_px[:, 2:].max(axis=0)]))
+        palms = self.palms()
+        places = {row: palm_in(palms, box_px) for row, box_px in zip(rows, boxes_px, strict=True)}
+        known = {row: place for row, place in places.items() if place is not None}
+        numbers = sorted({number for number, _ in known.values()})
+        checks = check(self.image, np.stack(joints_px), [palms[number] for number in numbers])
+        said[rows] = checks[: len(rows)]
+        for row, (number, near) in known.items():
+            of_palms[row] = near, *checks[len(rows) + numbers.index(number)]
+        return said, of_palms
 
     def assigned(self, found: Detection, assignment: Assignment, views: CandidateViews) -> tuple[Detection, np.ndarray]:
         """The hands that an assignment makes of candidates, with HandSegNet's scores for absent ones; and (B,) bool,

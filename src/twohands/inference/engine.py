@@ -19,18 +19,28 @@ import numpy as np
 
 from twohands.errors import CheckpointError
 from twohands.geometry.body import FINDER_SIZE, JOINTS_SIZE
+from twohands.geometry.palm import PALM_SIZE
 from twohands.geometry.picture_turn import TURN_MAPS
 from twohands.inference.body import BodyNetworks
 from twohands.inference.int8 import quantise
+from twohands.inference.palm import PalmDetector
 from twohands.inference.runtime import import_openvino, open_core, read_network
-from twohands.inference.weights import BODY_NETWORKS, HAND_CHECK, WeightsCard, network_files, read_card, second_folder
+from twohands.inference.weights import (
+    BODY_NETWORKS,
+    HAND_CHECK,
+    PALM_DETECTOR,
+    WeightsCard,
+    network_files,
+    read_card,
+    second_folder,
+)
 from twohands.skeleton import N_JOINTS
 
 HEAVY_LAYERS = ("Convolution", "FullyConnected", "MatMul")
 """OpenVINO's names of the layers that take nearly all the time."""
 
-FINDER_SHAPE, JOINTS_SHAPE = (FINDER_SIZE, 2254, 2254), (JOINTS_SIZE, 195, 1)
-"""Second dimensions of what the published networks of bodies take and give."""
+FINDER_SHAPE, JOINTS_SHAPE, PALM_SHAPE = (FINDER_SIZE, 2254, 2254), (JOINTS_SIZE, 195, 1), (PALM_SIZE, 2016, 2016)
+"""Second dimensions of what the published networks of bodies and palms take and give."""
 NO_PEAKS: Final[Mapping[str, float]] = MappingProxyType({})
 
 
@@ -44,6 +54,7 @@ class SecondNetworks:
         hand_check: (B, 3, S, S) -> (B, 2) log-odds that crops show a hand, and a left one (`models.hand_check`); None
             without.
         body: of people's bodies; None without.
+        palm: of palms; None without.
     """
 
     card: WeightsCard
@@ -51,6 +62,7 @@ class SecondNetworks:
     pose_net_3d: Callable[[np.ndarray], np.ndarray]
     hand_check: Callable[[np.ndarray], np.ndarray] | None = None
     body: BodyNetworks | None = None
+    palm: PalmDetector | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,7 +233,10 @@ def load_networks(folder: Path, card: WeightsCard, threads: int = 0) -> Networks
             used.append(finder)
             joints = _when_asked(partial(opened, other, others_card, BODY_NETWORKS[1], *JOINTS_SHAPE))
             body = BodyNetworks(finder, joints)
-        second = SecondNetworks(others_card, *_pose_functions(*others), check, body)
+        palm = None
+        if others_card.palm:
+            palm = _when_asked(partial(opened, other, others_card, PALM_DETECTOR, *PALM_SHAPE))
+        second = SecondNetworks(others_card, *_pose_functions(*others), check, body, palm)
     # Nothing but this side by side: where Python looks into networks, it and OpenVINO may wait for each other's locks.
     with ThreadPoolExecutor() as pool:
         list(pool.map(OpenVinoNetwork.compile, used))

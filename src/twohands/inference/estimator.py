@@ -6,14 +6,16 @@ else; that is how each stage is studied alone and how the error budget is drawn 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from twohands.geometry.body import Body
+from twohands.geometry.palm import Palm
 from twohands.geometry.segmentation import HandBoxes, certain_masks, parted_masks
 from twohands.inference.body import guessed_masks
 from twohands.inference.detection import Detection, HandFinder
@@ -21,6 +23,7 @@ from twohands.inference.engine import Networks, load_networks
 from twohands.inference.expected import Expected
 from twohands.inference.following import followed_hands, going_on, with_sight
 from twohands.inference.keypoints import NO_KEYPOINTS, given_heatmaps
+from twohands.inference.palm import no_palms
 from twohands.inference.placement import PlacedHands, hand_poses, refine
 from twohands.inference.segmenter import HandMaps
 from twohands.inference.stages import NO_TRUTH, Stages, StageTruth, check_picture
@@ -135,7 +138,7 @@ class HandEstimator:
             maps = None if truth.knows_hands else self.stages.hand_maps(image)
             said = None if maps is None else maps.turn_logits
             body = self.body(image, around_px) if unaided else None
-            finder = replace(finder, body=body)
+            finder = replace(finder, body=body, palms=cache(partial(self.palms, image)) if unaided else no_palms)
             found = self.find_hands(finder, *self.segment(image, truth, maps, body), truth, trail)
             around_px = None if body is None else body.around_px
         left, right = self.place_hands(finder, found, hand_length_m, truth)
@@ -164,6 +167,10 @@ class HandEstimator:
     def body(self, image: np.ndarray, around_px: np.ndarray | None = None) -> Body | None:
         """The body of the person in a picture, looked for where it was in a clip's last frame, (2, 2), first."""
         return None if self.stages.body is None else self.stages.body(image, around_px)
+
+    def palms(self, image: np.ndarray) -> Sequence[Palm]:
+        """Palms in a picture; none without a network that knows them."""
+        return () if self.stages.palms is None else self.stages.palms(image)
 
     def find_hands(
         self,

@@ -84,6 +84,8 @@ class Evidence:
         check: (candidate, 2) HandCheck's log-odds that the candidate is a hand, and that it is a LEFT one if it is a
             hand; NaN where it did not look.
         merged_check: (2,) the same of both together.
+        palm: (3, 3) of the palm where a candidate is, or both together: how near it is, 0..1, and what HandCheck says
+            of it, as `check`; NaN where there is none, and where nobody looked.
         body: of the person; None where there is none, or nobody looked.
     """
 
@@ -98,6 +100,7 @@ class Evidence:
     before: Before | None = None
     check: np.ndarray = field(default_factory=lambda: np.full((2, 2), np.nan))
     merged_check: np.ndarray = field(default_factory=lambda: np.full(2, np.nan))
+    palm: np.ndarray = field(default_factory=lambda: np.full((3, 3), np.nan))
     body: Body | None = None
 
     def checks(self, source: np.ndarray) -> np.ndarray:
@@ -198,7 +201,8 @@ def first_features(evidence: Evidence) -> np.ndarray:
     the other side than HandSegNet says; HandSegNet's log-odds and lead for its side and for the other one, and the
     logarithm of the sides' shares in the box; PoseNet2D's log-odds, and by how much they are above those of the other
     side, or 1 for "mirror_unseen" if nobody looked; the same of the joints' score; HandCheck's log-odds that it is a
-    hand, and one of this side, or 1 for "check_unseen"; the logarithm of its size; from
+    hand, and one of this side, or 1 for "check_unseen"; by how much these are above `PASSED` where it looks at the palm
+    in this place, and then those of this side, times how near that is; the logarithm of its size; from
     where the arm comes, and how far out in the picture it is, towards the hand's own side; and of the frame before
     whether the hand was there (1, -1, or 0 for unknown), and how surely it, or the other hand, was in this place. Where
     the candidates are in one place and only one hand is there, it is both together, with features of its own. Of the
@@ -310,6 +314,7 @@ def _of_hand(evidence: Evidence, side: int, candidate: int) -> dict[str, float]:
         "joints_contrast": 0.0 if unseen else joints[side] - joints[other],
         **_of_check(evidence.check[candidate], side, "check"),
         "check_unseen": float(np.isnan(evidence.check[candidate, 0])),
+        **_of_palm(evidence.palm[candidate], side, "palm"),
         **_of_body(evidence.body, side, box_px, "body"),
         "size": _log_size(box_sizes(box_px[None], evidence.image_size)[0]),
         "arm_outside": float(np.clip(arm_outside, -2, 2)),
@@ -335,6 +340,7 @@ def _of_merged(evidence: Evidence, side: int) -> dict[str, float]:
         "merged_joints": joints[side] - _USUAL_SCORE,
         "merged_size": _log_size(box_sizes(box_px[None], evidence.image_size)[0]),
         **_of_check(evidence.merged_check, side, "merged_check"),
+        **_of_palm(evidence.palm[2], side, "merged_palm"),
         **_of_body(evidence.body, side, box_px, "merged_body"),
         **_of_before(evidence.before, side, box_px),
     }
@@ -344,6 +350,15 @@ def _of_check(check: np.ndarray, side: int, name: str) -> dict[str, float]:
     """What HandCheck's log-odds (2,) say of a hand of a side; nothing where it did not look."""
     hand, left = np.nan_to_num(check)
     return {name: _limited(hand), f"{name}_side": _limited(left if side == LEFT else -left)}
+
+
+def _of_palm(palm: np.ndarray, side: int, name: str) -> dict[str, float]:
+    """What a palm (3,), as in `Evidence.palm`, says of a hand of a side; nothing where it does not pass as one."""
+    near, hand, left = np.nan_to_num(palm)
+    passed = max(_limited(hand - PASSED), 0.0)
+    if passed == 0:
+        return {}
+    return {name: near * passed, f"{name}_side": near * _limited(left if side == LEFT else -left)}
 
 
 def _of_body(body: Body | None, side: int, box_px: np.ndarray, name: str) -> dict[str, float]:

@@ -5,7 +5,7 @@ Ours; the paper crops once.
 
 from __future__ import annotations
 
-import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -13,9 +13,11 @@ import numpy as np
 
 from twohands.geometry.body import Body
 from twohands.geometry.boxes import continued_box, ellipse_in, roll_up_deg, upright_roll_deg
+from twohands.geometry.palm import SURE_LOGIT, Palm, palm_in
 from twohands.inference.body import SURE
 from twohands.inference.expected import Expected
 from twohands.inference.keypoints import Keypoints, cuttable, in_sight, off_upright_deg, rolled_hand_box
+from twohands.inference.palm import no_palms
 from twohands.inference.stages import Stages
 from twohands.inference.weights import WeightsCard
 from twohands.types import HandCrop, PinholeCamera
@@ -34,6 +36,7 @@ class HandLooker:
         camera: of the image.
         expected: of the frame of a clip; None of a picture alone, and of the first frame.
         body: of the person; None where there is none.
+        palms: gives those in the picture; the network is asked where somebody wants to know.
     """
 
     stages: Stages
@@ -42,6 +45,7 @@ class HandLooker:
     camera: PinholeCamera
     expected: Expected | None = None
     body: Body | None = None
+    palms: Callable[[], Sequence[Palm]] = no_palms
 
     @property
     def size(self) -> tuple[int, int]:
@@ -83,29 +87,33 @@ class HandLooker:
         if joints_px is not None:
             crops = self.joint_crops(masks, boxes_px, joints_px, sides, np.ones(len(sides), int))
             return self._uprighted(masks, boxes_px, self.stages.keypoints(crops))
-        rolls_deg = np.where(self._shown(boxes_px, sides), self._known_rolls_deg(boxes_px, sides), np.nan)
         crops: list[HandCrop] = []
-        for side, roll_deg in zip(sides.tolist(), rolls_deg.tolist(), strict=True):
-            if math.isnan(roll_deg):
+        for side, shown in zip(sides.tolist(), self._shown(boxes_px, sides).tolist(), strict=True):
+            view = self._known_view(boxes_px[side], side) if shown else None
+            if view is None:
                 crops += self.crops(masks, boxes_px, np.array([side]), pair=1)
             else:
-                crops.append(self._rolled_crop(masks, self._around(boxes_px[side]), side, 1, roll_deg))
+                crops.append(self._rolled_crop(masks, view[0], side, 1, view[1]))
         return self._searched(masks, boxes_px, self._uprighted(masks, boxes_px, self.stages.keypoints(crops)))
 
-    def _known_rolls_deg(self, boxes_px: np.ndarray, sides: np.ndarray) -> np.ndarray:
-        """(B,) rolls of cameras that would see hands of B sides with the fingers up, as the second pose networks saw
-        them in the last frame, else by the body that has a hand there; NaN where neither says."""
-        rolls_deg = np.full(len(sides), np.nan)
+    def _known_view(self, box_px: np.ndarray, side: int) -> tuple[np.ndarray, float] | None:
+        """Points (N, 2) around a side's hand in a box (4,), and the roll of a camera that would see it with the fingers
+        up: as the second pose networks saw it in the last frame, else by a sure palm there, else by the body that has a
+        hand there; None where none of them says."""
         if not self.stages.of_pair(1).card.views.upright:
-            return rolls_deg
+            return None
+        if self.expected is not None and np.isfinite(self.expected.seen_px[1, side]).all():
+            return self._around(box_px), float(upright_roll_deg(self.expected.seen_px[1, side]))
+        palms = self.palms()
+        place = palm_in(palms, box_px)
+        if place is not None and place[1] > SURE and palms[place[0]].logit > SURE_LOGIT:
+            palm = palms[place[0]]
+            return palm.around_px(), float(roll_up_deg(palm.along_px))
         if self.body is not None:
-            near = np.array([self.body.near(box_px) for box_px in boxes_px[sides]])
-            along_px = self.body.along_px[near.argmax(axis=1)]
-            rolls_deg = np.where(near.max(axis=1) > SURE, roll_up_deg(along_px), np.nan)
-        if self.expected is None:
-            return rolls_deg
-        last_deg = upright_roll_deg(self.expected.seen_px[1, sides])
-        return np.where(np.isfinite(last_deg), last_deg, rolls_deg)
+            near = self.body.near(box_px)
+            if near.max() > SURE:
+                return self._around(box_px), float(roll_up_deg(self.body.along_px[near.argmax()]))
+        return None
 
     def joint_crops(
         self, masks: np.ndarray, boxes_px: np.ndarray, joints_px: np.ndarray, sides: np.ndarray, pairs: np.ndarray

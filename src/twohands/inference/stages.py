@@ -6,7 +6,7 @@ nobody changes an estimator that exists.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
 
@@ -14,9 +14,10 @@ import numpy as np
 
 from twohands.errors import InputError
 from twohands.geometry.body import Body
+from twohands.geometry.palm import Palm
 from twohands.geometry.segmentation import HandBoxes
 from twohands.inference import body as bodies
-from twohands.inference import hand_check, keypoints, placement, segmenter
+from twohands.inference import hand_check, keypoints, palm, placement, segmenter
 from twohands.inference.engine import Networks
 from twohands.inference.keypoints import Keypoints
 from twohands.inference.segmenter import HandMaps
@@ -81,8 +82,9 @@ class Stages:
         read_out: heatmaps, crops -> joints (B, 21, 2) in pixels and scores (B, 21), `keypoints.read_out`.
         lift: keypoints -> canonical joints (B, 21, 3), `placement.lift`.
         place: canonical, joints_px, joint_scores, camera, lengths_m -> `placement.place`.
-        check: image, joints (B, 21, 2) -> `hand_check.checked`; None without such a network.
+        check: image, joints (B, 21, 2)[, palms] -> `hand_check.checked`; None without such a network.
         body: image[, where to look first] -> `body.seen_body`; None without such networks.
+        palms: image -> `palm.seen_palms`; None without such a network.
         card: of the weights.
         second: the same stages with the second pose networks; None without any.
     """
@@ -96,17 +98,19 @@ class Stages:
     lift: Callable[[Keypoints], np.ndarray]
     place: Callable[[np.ndarray, np.ndarray, np.ndarray, PinholeCamera, np.ndarray], GlobalPose]
     card: WeightsCard
-    check: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
+    check: Callable[..., np.ndarray] | None = None
     body: Callable[[np.ndarray, np.ndarray | None], Body | None] | None = None
+    palms: Callable[[np.ndarray], Sequence[Palm]] | None = None
     second: Stages | None = None
 
     @classmethod
     def of(cls, networks: Networks, card: WeightsCard, pair: int = 0) -> Stages:
         """The stages of a set of weights; `pair` is 1 for those of the second pose networks."""
-        check = body = second = None
+        check = body = palms = second = None
         if (known := networks.second) is not None:
             check = None if known.hand_check is None else partial(hand_check.checked, known.hand_check, known.card)
             body = None if known.body is None else partial(bodies.seen_body, known.body)
+            palms = None if known.palm is None else partial(palm.seen_palms, known.palm)
             poses = replace(networks, pose_net_2d=known.pose_net_2d, pose_net_3d=known.pose_net_3d, second=None)
             second = cls.of(poses, known.card, 1)
         return cls(
@@ -121,6 +125,7 @@ class Stages:
             card=card,
             check=check,
             body=body,
+            palms=palms,
             second=second,
         )
 

@@ -10,6 +10,7 @@ A preset is a folder::
              card.json
              hand_check.onnx     optional, (B, 3, S, S) -> hand_logit (B, 1)
              body_finder.tflite, body_joints.tflite  optional, `inference.body.BodyNetworks`
+             palm_detector.tflite  optional, `inference.palm.PalmDetector`
 
 The card holds what inference must know; every other key (recipe, seed, accuracy, ...) is for the reader::
 
@@ -38,7 +39,8 @@ A preset may have second pose networks, which know hands that its own do not (`i
 their folder, beside its own and like it a preset's, as "second". Where there is no such folder, that of the shipped
 weights with this name is meant: weights that were trained on from shipped ones keep their second networks. If its card
 has a section "hand_check", it holds a fourth network, which says of candidates whether they are hands
-(`models.hand_check`). If it has one "body", it holds two more, of people's bodies (`inference.body`).
+(`models.hand_check`). If it has one "body", it holds two more, of people's bodies (`inference.body`);
+if it has one "palm", it holds one of palms (`inference.palm`).
 
 "views", "decision" and "placement" override any field of `inference.decision`'s records. Cards of version 1 had four of
 these elsewhere, under other names, and are read as well. Without weights in "decision" (scripts/fit_handedness.py),
@@ -69,6 +71,7 @@ NETWORK_INPUT = "(x - 128) / 256"
 NETWORK_NAMES = ("hand_seg_net", "pose_net_2d", "pose_net_3d")
 HAND_CHECK = "hand_check"
 BODY_NETWORKS = ("body_finder", "body_joints")
+PALM_DETECTOR = "palm_detector"
 CROP_KINDS = ("square", "perspective")
 HEATMAP_DECODERS = ("subpixel", "softargmax")
 MAX_INPUT = 4096
@@ -97,6 +100,7 @@ class WeightsCard:
         check_size: side of the square input of HandCheck in pixels; 0 where the folder has none.
         check_margin: side of its crop over the larger side of the hand's box.
         body: whether the folder has networks of people's bodies.
+        palm: whether it has one of palms.
         second: name of the folder, beside its own or among the shipped ones, of its second pose networks; "" without.
         views, decision, placement: every hand-tuned number of the pipeline.
         network_input: how the values of pictures are normalised for both networks that see them.
@@ -119,6 +123,7 @@ class WeightsCard:
     check_size: int = 0
     check_margin: float = 1.0
     body: bool = False
+    palm: bool = False
     second: str = ""
     views: ViewConfig = field(default_factory=ViewConfig)
     decision: DecisionConfig = field(default_factory=DecisionConfig)
@@ -209,6 +214,7 @@ class WeightsCard:
                 check_size=0 if check is None else int(check["crop_size"]),
                 check_margin=1.0 if check is None else float(check["crop_margin"]),
                 body="body" in card,
+                palm="palm" in card,
                 second=str(card.get("second", "")),
                 views=overridden(ViewConfig(), _views(card.get("views", {}), (height, width)), "views"),
                 decision=overridden(DecisionConfig(), card.get("decision", {}), "decision"),
@@ -338,7 +344,8 @@ def network_files(folder: Path, card: WeightsCard) -> dict[str, Path]:
         for name in (*NETWORK_NAMES, *([HAND_CHECK] if card.check_size else []))
     }
     files = {name: home / f"{name}.onnx" for name, home in homes.items()}
-    return files | {name: folder / f"{name}.tflite" for name in BODY_NETWORKS if card.body}
+    published = (*(BODY_NETWORKS if card.body else ()), *((PALM_DETECTOR,) if card.palm else ()))
+    return files | {name: folder / f"{name}.tflite" for name in published}
 
 
 def second_folder(folder: Path, card: WeightsCard) -> Path:
