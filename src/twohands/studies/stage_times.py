@@ -20,6 +20,7 @@ STAGES: Final = {
     "crop": "crops",
     "locate": "PoseNet2D",
     "read_out": "joints from heatmaps",
+    "palms": "palms",
     "check": "HandCheck",
     "lift": "PoseNet3D",
     "place": "global solve",
