@@ -156,7 +156,8 @@ def main() -> int:
         fitting = fit if options.only is None else partial(fit_only, options.only)
         summary, fitted = cross_validated(pictures, config, fitting), fitting(pictures, config)
         kinds = {kind: sum(one.kind == kind for one in pictures) for kind in dict.fromkeys(p.kind for p in pictures)}
-        described = {"weights": identity, "pictures": kinds, "penalty": PENALTY, **summary}
+        trust = {name: TRUST[name] for name in FEATURES.get(options.only, FIRST_FEATURES) if name in TRUST}
+        described = {"weights": identity, "pictures": kinds, "penalty": PENALTY, "trust": trust, **summary}
         fitted = replace(fitted, fit=described if options.only is None else {**config.fit, options.only: described})
         if not options.dry_run:
             write_decision(options.preset, fitted)

@@ -52,7 +52,7 @@ def random_evidence(rng, *, merged: bool, alone: bool) -> Evidence:
     before = Before(boxes_px[::-1] + rng.normal(0, 3, (2, 4)), np.array([rng.normal(), NO]))
     joints = np.where(np.isnan(pose), NO, 0.9 * pose**2 / (1 + pose**2))
     body = Body(rng.uniform(0, 100, (2, 2)), np.zeros((2, 4)), rng.uniform(0, 1, 2), *np.zeros((2, 2, 2)))
-    check, palm = rng.normal(0, 4, (3, 2)), rng.normal(0, 2, (3, 4))
+    check, palm = rng.normal(0, 4, (3, 2)), rng.normal(3, 2, (3, 3))
     said = check[:2], check[2], palm, body
     return Evidence(SIZE, boxes_px, maps, pose, joints, *together, rng.uniform(0, 1.5), before, *said)
 
@@ -84,7 +84,7 @@ def mirrored(given: Evidence) -> Evidence:
         merged_joints=None if given.merged_joints is None else given.merged_joints[::-1],
         check=given.check[::-1] * [1, -1],
         merged_check=given.merged_check * [1, -1],
-        palm=given.palm[[1, 0, 2]] * [1, 1, 1, -1],
+        palm=given.palm[[1, 0, 2]] * [1, 1, -1],
         body=None if given.body is None else mirrored_body(given.body),
         before=None if before is None else Before(mirrored_boxes(before.boxes_px), before.logits[::-1]),
     )

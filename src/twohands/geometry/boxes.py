@@ -33,9 +33,8 @@ masks."""
 _CONTINUED: Final = 0.2
 """How far such a box is continued there, as a share of its longer side (docs/history/journal.md, *Hands that leave the
 picture*)."""
-
-
 _NEAR: Final = 0.6
+"""Distance from a box's middle, in its longer sides, at which what lies there counts 1/e."""
 
 
 def box_from_points(points_px: Array, valid: Array | None = None) -> Array:

@@ -411,8 +411,12 @@ def as_one_hand(masks: np.ndarray, boxes_px: np.ndarray, side: int) -> tuple[np.
         The masks (H, W) uint8 with every pixel that is or may be a hand's that side's, and the box (4,) around both
         boxes.
     """
-    corners = np.concatenate([boxes_px[:, :2], boxes_px[:, 2:]])
-    return np.where(masks > 0, np.uint8(side + 1), np.uint8(0)), np.asarray(box_from_points(corners))
+    return np.where(masks > 0, np.uint8(side + 1), np.uint8(0)), box_around(boxes_px)
+
+
+def box_around(boxes_px: np.ndarray) -> np.ndarray:
+    """(4,) the box around both boxes (2, 4)."""
+    return np.asarray(box_from_points(np.reshape(boxes_px, (-1, 2))))
 
 
 def _foreground(energy: np.ndarray) -> tuple[float, np.ndarray]:

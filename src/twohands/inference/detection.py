@@ -14,7 +14,7 @@ import numpy as np
 
 from twohands.geometry.boxes import box_in_picture, box_iou
 from twohands.geometry.palm import palm_in
-from twohands.geometry.segmentation import HandBoxes, as_one_hand, box_evidence, probability
+from twohands.geometry.segmentation import HandBoxes, as_one_hand, box_around, box_evidence, probability
 from twohands.inference.body import SURE
 from twohands.inference.expected import FARTHEST, strayed
 from twohands.inference.handedness import (
@@ -253,7 +253,7 @@ class HandFinder(HandLooker):
         if merged is not None:
             rows.append(2)
             joints_px.append(merged.joints_px[np.argmax(merged.hand_logits)])
-            boxes_px.append(np.concatenate([boxes.boxes_px[:, :2].min(axis=0), boxes.boxes_px[:, 2:].max(axis=0)]))
+            boxes_px.append(box_around(boxes.boxes_px))
         palms = self.palms()
         places = {row: palm_in(palms, box_px) for row, box_px in zip(rows, boxes_px, strict=True)}
         known = {row: place for row, place in places.items() if place is not None}

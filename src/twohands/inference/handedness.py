@@ -22,7 +22,7 @@ import numpy as np
 
 from twohands.geometry.body import Body
 from twohands.geometry.boxes import box_iou
-from twohands.geometry.segmentation import BoxEvidence, log_odds
+from twohands.geometry.segmentation import BoxEvidence, box_around, log_odds
 from twohands.inference.decision import FIRST_FEATURES, LAST_FEATURES, DecisionConfig
 from twohands.skeleton import LEFT, RIGHT, ROOT, WRIST
 from twohands.types import TwoHandPose
@@ -329,7 +329,7 @@ def _of_merged(evidence: Evidence, side: int) -> dict[str, float]:
     """Features of both candidates in one place as one hand of a side."""
     pose, joints, maps, other = evidence.merged_pose, evidence.merged_joints, evidence.maps, 1 - side
     assert pose is not None and joints is not None
-    box_px = np.concatenate([evidence.boxes_px[:, :2].min(axis=0), evidence.boxes_px[:, 2:].max(axis=0)])
+    box_px = box_around(evidence.boxes_px)
     energies = [_limited(maps.energy[hand].max()) for hand in (side, other)]
     return {
         "merged": 1.0,
