@@ -73,7 +73,7 @@ def test_what_is_seen_of_a_palm_is_evidence_of_the_candidate_in_its_place():
 
 
 def test_one_palm_is_of_one_hand():
-    """Of two candidates that both show it the nearer one has it: a hand alone was found twice, by its palm each time."""
+    """Of two candidates that both show it the nearer one has it: a hand alone was found twice, once by each."""
     here, found = finder(lambda image, joints_px, palms: np.zeros((len(joints_px) + len(palms), 2)))
     between = (true_palm(LEFT).middle_px + 2 * true_palm(RIGHT).middle_px) / 3
     here = dataclasses.replace(here, palms=lambda: (true_palm(RIGHT)._replace(middle_px=between),))
