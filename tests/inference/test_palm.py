@@ -67,25 +67,29 @@ def test_what_is_seen_of_a_palm_is_evidence_of_the_candidate_in_its_place():
     evidence, _ = here.evidence(found, None)
     near, hand, left = evidence.palm[RIGHT]
     assert (hand, left) == (7.0, -1.5) and 0.9 < near <= 1
-    assert np.isnan(evidence.palm[[LEFT, 2]]).all()  # the other hand's; not in one place
+    assert evidence.palm[LEFT, 0] < 0.1 and np.isnan(evidence.palm[2]).all()  # far away; not in one place
     assert [palm.logit for palm in asked[0]] == [2.5]  # HandCheck sees no palm twice, and none that nobody shows
     np.testing.assert_allclose(evidence.check, SAID[:2])
 
 
 def test_one_palm_is_of_one_hand():
-    """Of two candidates that both show it the nearer one has it: a hand alone was found twice, once by each."""
+    """Of two candidates that show the same, either may be its hand; of both, the nearer one is. A hand alone was found
+    twice, once by each."""
     here, found = finder(lambda image, joints_px, palms: np.zeros((len(joints_px) + len(palms), 2)))
-    between = (true_palm(LEFT).middle_px + 2 * true_palm(RIGHT).middle_px) / 3
-    here = dataclasses.replace(here, palms=lambda: (true_palm(RIGHT)._replace(middle_px=between),))
-    palm = here.evidence(found, None)[0].palm
-    assert np.isfinite(palm[RIGHT]).all() and np.isnan(palm[LEFT]).all()
+    evidence, _ = here.evidence(found, None)
+    palm, column = np.array([[0.5, 5.0, 0.0], [0.75, 5.0, 0.0], [np.nan] * 3]), FIRST_FEATURES.index("palm")
+    rows = first_features(dataclasses.replace(evidence, palm=palm))
+    said = {answer: rows[ANSWERS.index(answer), column] for answer in ((0, -1), (-1, 1), (0, 1))}
+    assert said == {(0, -1): 1.0, (-1, 1): 1.5, (0, 1): 1.5}
+    palm[0, 2] = 0.5  # another one
+    rows = first_features(dataclasses.replace(evidence, palm=palm))
+    assert rows[ANSWERS.index((0, 1)), column] == 2.5
 
 
 def test_two_candidates_in_one_place_have_a_palm_together():
     here, found = finder(lambda image, joints_px, palms: np.zeros((len(joints_px) + len(palms), 2)), same_place_iou=0.0)
     here = dataclasses.replace(here, palms=lambda: (true_palm(RIGHT),))
-    palm = here.evidence(found, None)[0].palm
-    assert np.isfinite(palm[[RIGHT, 2]]).all() and np.isnan(palm[LEFT]).all()
+    assert np.isfinite(here.evidence(found, None)[0].palm).all()
 
 
 @pytest.mark.parametrize(

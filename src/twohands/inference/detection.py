@@ -257,8 +257,6 @@ class HandFinder(HandLooker):
         palms = self.palms()
         places = {row: palm_in(palms, box_px) for row, box_px in zip(rows, boxes_px, strict=True)}
         known = {row: place for row, place in places.items() if place is not None}
-        if LEFT in known and RIGHT in known and known[LEFT][0] == known[RIGHT][0]:  # one palm is of one hand
-            del known[min((LEFT, RIGHT), key=lambda row: known[row][1])]
         numbers = sorted({number for number, _ in known.values()})
         checks = check(self.image, np.stack(joints_px), [palms[number] for number in numbers])
         said[rows] = checks[: len(rows)]

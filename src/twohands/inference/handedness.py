@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -202,8 +202,8 @@ def first_features(evidence: Evidence) -> np.ndarray:
     logarithm of the sides' shares in the box; PoseNet2D's log-odds, and by how much they are above those of the other
     side, or 1 for "mirror_unseen" if nobody looked; the same of the joints' score; HandCheck's log-odds that it is a
     hand, and one of this side, or 1 for "check_unseen"; by how much these are above `PASSED` where it looks at the palm
-    in this place, and then those of this side, times how near that is; the logarithm of its size; from
-    where the arm comes, and how far out in the picture it is, towards the hand's own side; and of the frame before
+    in this place, and then those of this side, times how near that is (one palm is of one hand); the logarithm of its
+    size; from where the arm comes, and how far out in the picture it is, towards the hand's own side; and of the frame before
     whether the hand was there (1, -1, or 0 for unknown), and how surely it, or the other hand, was in this place. Where
     the candidates are in one place and only one hand is there, it is both together, with features of its own. Of the
     pair: 1 ("both"), how near each other their palms are, whether they are in one place, how much their boxes overlap,
@@ -275,6 +275,8 @@ def _first_of(evidence: Evidence, source: tuple[int, int]) -> dict[str, float] |
     if len(hands) == 1 and evidence.merged_pose is not None:
         side, candidate = hands[0]
         return _of_merged(evidence, side) if side == candidate else None
+    if len(hands) == 2:
+        evidence = replace(evidence, palm=_each_once(evidence.palm))
     features: dict[str, float] = dict.fromkeys(FIRST_FEATURES, 0.0)
     for side, candidate in hands:
         if np.isnan(evidence.pose[side, candidate]):
@@ -350,6 +352,16 @@ def _of_check(check: np.ndarray, side: int, name: str) -> dict[str, float]:
     """What HandCheck's log-odds (2,) say of a hand of a side; nothing where it did not look."""
     hand, left = np.nan_to_num(check)
     return {name: _limited(hand), f"{name}_side": _limited(left if side == LEFT else -left)}
+
+
+def _each_once(palm: np.ndarray) -> np.ndarray:
+    """Palms, as in `Evidence.palm`, of two candidates that are two hands: one palm, of which HandCheck says the same
+    twice, is of the nearer one alone."""
+    if not (palm[0, 1:] == palm[1, 1:]).all():
+        return palm
+    alone = palm.copy()
+    alone[np.argmin(palm[:2, 0])] = np.nan
+    return alone
 
 
 def _of_palm(palm: np.ndarray, side: int, name: str) -> dict[str, float]:
