@@ -205,9 +205,9 @@ def first_features(evidence: Evidence) -> np.ndarray:
     in this place, and then those of this side, times how near that is (one palm is of one hand); the logarithm of its
     size; from where the arm comes, and how far out in the picture it is, towards the hand's own side; and of the frame
     before whether the hand was there (1, -1, or 0 for unknown), and how surely it, or the other hand, was in this
-    place. Where the candidates are in one place and only one hand is there, it is both together, with features of its own. Of the
-    pair: 1 ("both"), how near each other their palms are, whether they are in one place, how much their boxes overlap,
-    whether LEFT is on the left, and the lesser log-odds of PoseNet2D.
+    place. Where the candidates are in one place and only one hand is there, it is both together, with features of its
+    own. Of the pair: 1 ("both"), how near each other their palms are, whether they are in one place, how much their
+    boxes overlap, whether LEFT is on the left, and the lesser log-odds of PoseNet2D.
 
     Returns:
         (7, F) in the order of `ANSWERS` and `FIRST_FEATURES`; NaN for an answer that cannot be.
