@@ -30,7 +30,7 @@ import math
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -320,7 +320,7 @@ def seen(estimator: HandEstimator, sample: HandSample, kind: str, scene: int, ea
     """Looks at one picture, and at what would be left of it after every answer."""
     body = estimator.body(sample.image)
     masks, boxes = estimator.segment(sample.image, body=body)
-    palms = cache(partial(estimator.palms, sample.image))
+    palms = estimator.palms(sample.image)
     finder = HandFinder(estimator.stages, estimator.card, sample.image, sample.camera, body=body, palms=palms)
     sides = np.flatnonzero(boxes.present)
     last, distance = np.full((len(ANSWERS), 2, 3), np.nan), np.full(len(ANSWERS), np.inf)

@@ -24,7 +24,7 @@ import json
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -140,7 +140,7 @@ def hands_seen(estimator: HandEstimator, sample: HandSample, kind: str, scene: i
     sides = np.flatnonzero(boxes.present)
     if not len(sides):
         return []
-    palms = cache(partial(estimator.palms, sample.image))
+    palms = estimator.palms(sample.image)
     finder = HandFinder(estimator.stages, estimator.card, sample.image, sample.camera, body=body, palms=palms)
     first, second = finder.both_looked(masks, boxes.boxes_px, finder.crops(masks, boxes.boxes_px, sides))
     features, hands = second_features(first, second), []

@@ -31,6 +31,7 @@ _WRIST, _KNUCKLE = 2, 4
 _SAME_IOU: Final = 0.3
 """Two boxes that overlap this much show one palm, as published."""
 _MOST: Final = 8
+"""Palms of one picture that are kept, at most."""
 _BEYOND, _AROUND = 0.5, 2.6
 """From the middle of the palm to that of the square around the hand, towards the fingers, and the square's side, in
 sides of the palm's box; as published."""

@@ -6,7 +6,7 @@ else; that is how each stage is studied alone and how the error budget is drawn 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -138,7 +138,7 @@ class HandEstimator:
             maps = None if truth.knows_hands else self.stages.hand_maps(image)
             said = None if maps is None else maps.turn_logits
             body = self.body(image, around_px) if unaided else None
-            finder = replace(finder, body=body, palms=cache(partial(self.palms, image)) if unaided else no_palms)
+            finder = replace(finder, body=body, palms=self.palms(image) if unaided else no_palms)
             found = self.find_hands(finder, *self.segment(image, truth, maps, body), truth, trail)
             around_px = None if body is None else body.around_px
         left, right = self.place_hands(finder, found, hand_length_m, truth)
@@ -168,9 +168,10 @@ class HandEstimator:
         """The body of the person in a picture, looked for where it was in a clip's last frame, (2, 2), first."""
         return None if self.stages.body is None else self.stages.body(image, around_px)
 
-    def palms(self, image: np.ndarray) -> Sequence[Palm]:
-        """Palms in a picture; none without a network that knows them."""
-        return () if self.stages.palms is None else self.stages.palms(image)
+    def palms(self, image: np.ndarray) -> Callable[[], Sequence[Palm]]:
+        """What gives the palms in a picture, looked for when it is first asked; none without a network that knows
+        them."""
+        return no_palms if self.stages.palms is None else cache(partial(self.stages.palms, image))
 
     def find_hands(
         self,
