@@ -353,6 +353,29 @@ def test_a_hand_outside_the_picture_keeps_no_other_from_being_looked_at_again():
     assert np.abs(poses[LEFT] - canonical[LEFT]).max() > 0.01
 
 
+def test_hands_are_seen_again_where_those_see_them_whose_joints_count():
+    """Where a first view is cut off, views around its own joints are cut off alike."""
+    sample, card = drawn_hands(4), make_card(tta_rolls_deg=(15.0, -15.0))
+    estimator = HandEstimator(Oracle(sample, card).estimator.networks, card)
+    masks, boxes = estimator.segment(sample.image)
+    look = keypoints_of(estimator, sample, masks, boxes.boxes_px)
+    better, crops = dataclasses.replace(look, joints_px=look.joints_px * 0.8 + 10), []
+
+    def locate(given):
+        crops.extend(given)
+        return look.heatmaps, look.hand_logits
+
+    stages = dataclasses.replace(
+        estimator.stages, locate=locate, read_out=lambda heatmaps, given: (look.joints_px, look.joint_scores)
+    )
+    viewer, canonical = HandViewer(stages, card, sample.image, masks, sample.camera), estimator.stages.lift(look)
+    again, _ = viewer.agreed(look, canonical, better)
+    viewer.agreed(better, canonical)
+    for crop, expected in zip(crops[:4], crops[4:], strict=True):
+        np.testing.assert_array_equal(crop.image, expected.image)
+    np.testing.assert_allclose(again.joints_px, look.joints_px, atol=1e-9)  # what they see there counts
+
+
 @pytest.mark.parametrize(
     ("scores", "looks", "counts"),
     [

@@ -234,9 +234,9 @@ class HandEstimator:
         first, camera = found.first, finder.camera
         if first is None or not len(rows := np.flatnonzero(hands.keypoints.pairs > first.pairs)):
             return hands
-        keypoints, pairs = first.rows(rows), hands.keypoints.pairs[rows]
+        keypoints = first.rows(rows)
         canonical = lifted(self.stages, keypoints, camera)
-        keypoints, canonical = finder.viewer(found.masks).agreed(keypoints, canonical, pairs)
+        keypoints, canonical = finder.viewer(found.masks).agreed(keypoints, canonical, hands.keypoints.rows(rows))
         placed = self.stages.place(canonical, keypoints.joints_px, keypoints.joint_scores, camera, lengths_m[rows])
         known = np.flatnonzero(placed.valid)
         chosen = PlacedHands(canonical, keypoints, placed).rows(known)

@@ -70,14 +70,15 @@ class HandViewer:
         rows = np.flatnonzero(doubtful & (turns_deg != 0) & self._in_sight(keypoints))
         if not len(rows):
             return keypoints, canonical
-        again, again_poses = self._rolled(keypoints.rows(rows), turns_deg[rows])
+        doubted = keypoints.rows(rows)
+        again, again_poses = self._rolled(doubted, doubted.placed_px, turns_deg[rows])
         surer = np.flatnonzero(_sureness(again) > sureness[rows] + views.turn_lead)
         poses = canonical.copy()
         poses[rows[surer]] = again_poses[surer]
         return keypoints.replaced(rows[surer], again.rows(surer)), poses
 
     def agreed(
-        self, keypoints: Keypoints, canonical: np.ndarray, pairs: np.ndarray | None = None
+        self, keypoints: Keypoints, canonical: np.ndarray, better: Keypoints | None = None
     ) -> tuple[Keypoints, np.ndarray]:
         """Sees every hand again, rolled by `ViewConfig.tta_rolls_deg`; all views count alike.
 
@@ -87,7 +88,8 @@ class HandViewer:
         Args:
             keypoints: of B hands, to be kept but for joints and scores.
             canonical: (B, 21, 3), from these keypoints.
-            pairs: (B,) the pose networks whose joints count, if not these: whose hands have further views.
+            better: the same hands by the pose networks whose joints count, if not these: whose hands have further views,
+                and where these look.
 
         Returns:
             The keypoints with the geometric median of the joints, scores that are the geometric mean of the joints'
@@ -95,15 +97,17 @@ class HandViewer:
             rolls of its own is fitted to scores of single views: they stay.
         """
         joints_px, joint_scores, mean_pose = keypoints.joints_px.copy(), keypoints.joint_scores.copy(), canonical.copy()
-        pairs = keypoints.pairs if pairs is None else pairs
+        better = keypoints if better is None else better
+        pairs, placed_px = better.pairs, better.placed_px
         for pair in np.unique(pairs).tolist():
             if not (rolls_deg := self._rolls_deg(pair)):
                 continue
-            rows = np.flatnonzero(self._in_sight(keypoints) & (pairs == pair))
+            rows = np.flatnonzero(self._in_sight(better) & (pairs == pair))
             if not len(rows):
                 continue
             first = keypoints.rows(rows)
-            seen = [(first, canonical[rows]), *(self._rolled(first, degrees) for degrees in rolls_deg)]
+            views = (self._rolled(first, placed_px[rows], degrees) for degrees in rolls_deg)
+            seen = [(first, canonical[rows]), *views]
             seen_px = np.array([view.joints_px for view, _ in seen])
             joints_px[rows] = geometric_median(seen_px)
             if self.card.views.tta_rolls_deg:
@@ -121,15 +125,18 @@ class HandViewer:
     def _in_sight(self, keypoints: Keypoints) -> np.ndarray:
         return in_sight(keypoints.placed_px, self.image.shape[:2], self.card.views.smallest_box_px)
 
-    def _rolled(self, first: Keypoints, further_deg: float | np.ndarray) -> tuple[Keypoints, np.ndarray]:
-        """Keypoints of B hands and their canonical poses (B, 21, 3) in the camera of the picture, as cameras see them
-        that are rolled so far further, all alike or each by its own (B,), than those that saw them first."""
+    def _rolled(
+        self, first: Keypoints, placed_px: np.ndarray, further_deg: float | np.ndarray
+    ) -> tuple[Keypoints, np.ndarray]:
+        """Keypoints of B hands and their canonical poses (B, 21, 3) in the camera of the picture, as cameras see them,
+        around points (B, 21, 2), that are rolled so far further, all alike or each by its own (B,), than those that saw
+        them first."""
         crops, size = [], (self.image.shape[0], self.image.shape[1])
         further = np.broadcast_to(further_deg, len(first.crops)).tolist()
-        for placed_px, crop, by_deg in zip(first.placed_px, first.crops, further, strict=True):
+        for points_px, crop, by_deg in zip(placed_px, first.crops, further, strict=True):
             roll_deg = crop.roll_deg + by_deg
             own = self.stages.of_pair(crop.pair)
-            box_px = rolled_hand_box(own.card, placed_px, size, self.camera, roll_deg)
+            box_px = rolled_hand_box(own.card, points_px, size, self.camera, roll_deg)
             crops.append(own.crop(self.image, self.masks, box_px, crop.side, self.camera, roll_deg))
         again = self.stages.keypoints(crops)
         return again, lifted(self.stages, again, self.camera)
