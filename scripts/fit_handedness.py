@@ -81,10 +81,9 @@ FEATURES: Final = {
     "palms": tuple(name for name in FIRST_FEATURES if "palm" in name),
 }
 """What published networks say that a picture may show or not."""
-TRUST: Final = {"body": 2.0, "merged_body": 2.0, "palm": 0.2, "merged_palm": 0.2}
-"""Added to the fitted weights of whether a body's hand should be there, and of a palm that passes. Networks that learnt
-from rendered people know these better than real ones, and networks of bodies and palms worse
-(docs/history/journal.md, *Bodies* and *Palms*)."""
+TRUST: Final = {"body": 2.0, "merged_body": 2.0}
+"""Added to the fitted weights of whether a body's hand should be there. Networks that learnt from rendered people know
+these better than real ones, and networks of bodies worse (docs/history/journal.md, *Bodies*)."""
 FOLDS: Final = 5
 TOUCHING: Final = 0.75
 """Distance of their palms, in sides of the larger hand's box, below which two hands are near each other: people keep

@@ -76,7 +76,7 @@ def test_one_palm_is_of_one_hand():
     """Of two candidates that show the same, either may be its hand; of both, the nearer one is. A hand alone was found
     twice, once by each."""
     here, found = finder(lambda image, joints_px, palms: np.zeros((len(joints_px) + len(palms), 2)))
-    evidence, _ = here.evidence(found, None)
+    evidence = dataclasses.replace(here.evidence(found, None)[0], pose=np.zeros((2, 2)))
     palm, column = np.array([[0.5, 5.0, 0.0], [0.75, 5.0, 0.0], [np.nan] * 3]), FIRST_FEATURES.index("palm")
     rows = first_features(dataclasses.replace(evidence, palm=palm))
     said = {answer: rows[ANSWERS.index(answer), column] for answer in ((0, -1), (-1, 1), (0, 1))}
@@ -93,22 +93,28 @@ def test_two_candidates_in_one_place_have_a_palm_together():
 
 
 @pytest.mark.parametrize(
-    ("palm", "left", "right"),
+    ("palm", "pose", "left", "right"),
     [
-        ([0.5, 5.0, -3.0], [0.5 * (5 - PASSED), -1.5], [0.5 * (5 - PASSED), 1.5]),
-        ([1.0, 20.0, 9.0], [6, 6], [6, -6]),  # both are limited
-        ([1.0, PASSED, 5.0], [0, 0], [0, 0]),  # it does not pass, and says nothing
-        ([np.nan] * 3, [0, 0], [0, 0]),
+        ([0.5, 5.0, -3.0], [0.0, 0.0], [0.5 * (5 - PASSED), -1.5], [0.5 * (5 - PASSED), 1.5]),
+        ([1.0, 20.0, 9.0], [-5.0, -1.0], [6, 6], [6, -6]),  # both are limited
+        ([1.0, 20.0, 9.0], [-5.0, 1.5], [4.5, 4.5], [4.5, -4.5]),  # a quarter sure that it is a hand
+        ([1.0, 20.0, 9.0], [2.0, np.nan], [4, 4], None),  # a third; not seen as the other one
+        ([1.0, 20.0, 9.0], [7.0, -7.0], [0, 0], [0, 0]),  # sure: palms are not asked
+        ([1.0, PASSED, 5.0], [0.0, 0.0], [0, 0], [0, 0]),  # it does not pass, and says nothing
+        ([np.nan] * 3, [0.0, 0.0], [0, 0], [0, 0]),
     ],
 )
-def test_a_palm_is_weighed_by_hand(palm, left, right):
-    """How far it passes, and whose it is, as seen from the hand's side; both times how near it is."""
+def test_a_palm_is_weighed_by_hand(palm, pose, left, right):
+    """How far it passes, and whose it is, as seen from the hand's side; both times how near it is, and how far PoseNet2D
+    is from being sure, of 6."""
     here, found = finder(lambda image, joints_px, palms: np.zeros((len(joints_px) + len(palms), 2)))
     evidence, _ = here.evidence(found, None)
-    rows = first_features(dataclasses.replace(evidence, palm=np.array([palm, palm, [np.nan] * 3])))
+    seen = np.transpose([pose, pose[::-1]])  # of the second candidate, the other hand's
+    known = dataclasses.replace(evidence, palm=np.array([palm, palm, [np.nan] * 3]), pose=seen)
     columns = [FIRST_FEATURES.index(name) for name in ("palm", "palm_side")]
-    np.testing.assert_allclose(rows[ANSWERS.index((0, -1)), columns], left)
-    np.testing.assert_allclose(rows[ANSWERS.index((-1, 1)), columns], right)
+    for answer, expected in (((0, -1), left), ((-1, 0), right)):
+        values = first_features(known)[ANSWERS.index(answer), columns]
+        np.testing.assert_allclose(values, [np.nan, np.nan] if expected is None else expected)
 
 
 @pytest.fixture

@@ -202,8 +202,8 @@ def first_features(evidence: Evidence) -> np.ndarray:
     logarithm of the sides' shares in the box; PoseNet2D's log-odds, and by how much they are above those of the other
     side, or 1 for "mirror_unseen" if nobody looked; the same of the joints' score; HandCheck's log-odds that it is a
     hand, and one of this side, or 1 for "check_unseen"; by how much these are above `PASSED` where it looks at the palm
-    in this place, and then those of this side, times how near that is (one palm is of one hand); the logarithm of its
-    size; from where the arm comes, and how far out in the picture it is, towards the hand's own side; and of the frame
+    in this place, and then those of this side, times how near that is (one palm is of one hand) and how far PoseNet2D
+    is from being sure of a hand there; the logarithm of its size; from where the arm comes, and how far out in the picture it is, towards the hand's own side; and of the frame
     before whether the hand was there (1, -1, or 0 for unknown), and how surely it, or the other hand, was in this
     place. Where the candidates are in one place and only one hand is there, it is both together, with features of its
     own. Of the pair: 1 ("both"), how near each other their palms are, whether they are in one place, how much their
@@ -316,7 +316,7 @@ def _of_hand(evidence: Evidence, side: int, candidate: int) -> dict[str, float]:
         "joints_contrast": 0.0 if unseen else joints[side] - joints[other],
         **_of_check(evidence.check[candidate], side, "check"),
         "check_unseen": float(np.isnan(evidence.check[candidate, 0])),
-        **_of_palm(evidence.palm[candidate], side, "palm"),
+        **_of_palm(evidence.palm[candidate], side, pose, "palm"),
         **_of_body(evidence.body, side, box_px, "body"),
         "size": _log_size(box_sizes(box_px[None], evidence.image_size)[0]),
         "arm_outside": float(np.clip(arm_outside, -2, 2)),
@@ -342,7 +342,7 @@ def _of_merged(evidence: Evidence, side: int) -> dict[str, float]:
         "merged_joints": joints[side] - _USUAL_SCORE,
         "merged_size": _log_size(box_sizes(box_px[None], evidence.image_size)[0]),
         **_of_check(evidence.merged_check, side, "merged_check"),
-        **_of_palm(evidence.palm[2], side, "merged_palm"),
+        **_of_palm(evidence.palm[2], side, pose, "merged_palm"),
         **_of_body(evidence.body, side, box_px, "merged_body"),
         **_of_before(evidence.before, side, box_px),
     }
@@ -364,13 +364,15 @@ def _each_once(palm: np.ndarray) -> np.ndarray:
     return alone
 
 
-def _of_palm(palm: np.ndarray, side: int, name: str) -> dict[str, float]:
-    """What a palm (3,), as in `Evidence.palm`, says of a hand of a side; nothing where it does not pass as one."""
+def _of_palm(palm: np.ndarray, side: int, pose: np.ndarray, name: str) -> dict[str, float]:
+    """What a palm (3,), as in `Evidence.palm`, says of a hand of a side: nothing where it does not pass as one, and less
+    the surer PoseNet2D's log-odds (side,), NaN where it did not look, are of a hand there."""
     near, hand, left = np.nan_to_num(palm)
     passed = max(_limited(hand - PASSED), 0.0)
     if passed == 0:
         return {}
-    return {name: near * passed, f"{name}_side": near * _limited(left if side == LEFT else -left)}
+    counts = near * (1 - max(_limited(np.nanmax(pose)), 0.0) / LOGIT_LIMIT)
+    return {name: counts * passed, f"{name}_side": counts * _limited(left if side == LEFT else -left)}
 
 
 def _of_body(body: Body | None, side: int, box_px: np.ndarray, name: str) -> dict[str, float]:
