@@ -105,8 +105,8 @@ def test_two_candidates_in_one_place_have_a_palm_together():
     ],
 )
 def test_a_palm_is_weighed_by_hand(palm, pose, left, right):
-    """How far it passes, and whose it is, as seen from the hand's side; both times how near it is, and how far PoseNet2D
-    is from being sure, of 6."""
+    """How far it passes, and whose it is, as seen from the hand's side; both times how near it is, and how far
+    PoseNet2D is from being sure, of 6."""
     here, found = finder(lambda image, joints_px, palms: np.zeros((len(joints_px) + len(palms), 2)))
     evidence, _ = here.evidence(found, None)
     seen = np.transpose([pose, pose[::-1]])  # of the second candidate, the other hand's

@@ -203,11 +203,12 @@ def first_features(evidence: Evidence) -> np.ndarray:
     side, or 1 for "mirror_unseen" if nobody looked; the same of the joints' score; HandCheck's log-odds that it is a
     hand, and one of this side, or 1 for "check_unseen"; by how much these are above `PASSED` where it looks at the palm
     in this place, and then those of this side, times how near that is (one palm is of one hand) and how far PoseNet2D
-    is from being sure of a hand there; the logarithm of its size; from where the arm comes, and how far out in the picture it is, towards the hand's own side; and of the frame
-    before whether the hand was there (1, -1, or 0 for unknown), and how surely it, or the other hand, was in this
-    place. Where the candidates are in one place and only one hand is there, it is both together, with features of its
-    own. Of the pair: 1 ("both"), how near each other their palms are, whether they are in one place, how much their
-    boxes overlap, whether LEFT is on the left, and the lesser log-odds of PoseNet2D.
+    is from being sure of a hand there; the logarithm of its size; from where the arm comes, and how far out in the
+    picture it is, towards the hand's own side; and of the frame before whether the hand was there (1, -1, or 0 for
+    unknown), and how surely it, or the other hand, was in this place. Where the candidates are in one place and only
+    one hand is there, it is both together, with features of its own. Of the pair: 1 ("both"), how near each other their
+    palms are, whether they are in one place, how much their boxes overlap, whether LEFT is on the left, and the lesser
+    log-odds of PoseNet2D.
 
     Returns:
         (7, F) in the order of `ANSWERS` and `FIRST_FEATURES`; NaN for an answer that cannot be.
@@ -365,8 +366,8 @@ def _each_once(palm: np.ndarray) -> np.ndarray:
 
 
 def _of_palm(palm: np.ndarray, side: int, pose: np.ndarray, name: str) -> dict[str, float]:
-    """What a palm (3,), as in `Evidence.palm`, says of a hand of a side: nothing where it does not pass as one, and less
-    the surer PoseNet2D's log-odds (side,), NaN where it did not look, are of a hand there."""
+    """What a palm (3,), as in `Evidence.palm`, says of a hand of a side: nothing where it does not pass as one, and
+    less the surer PoseNet2D's log-odds (side,), NaN where it did not look, are of a hand there."""
     near, hand, left = np.nan_to_num(palm)
     passed = max(_limited(hand - PASSED), 0.0)
     if passed == 0:

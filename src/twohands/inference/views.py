@@ -88,8 +88,8 @@ class HandViewer:
         Args:
             keypoints: of B hands, to be kept but for joints and scores.
             canonical: (B, 21, 3), from these keypoints.
-            better: the same hands by the pose networks whose joints count, if not these: whose hands have further views,
-                and where these look.
+            better: the same hands by the pose networks whose joints count, if not these: who say whether there are
+                further views, and where these look.
 
         Returns:
             The keypoints with the geometric median of the joints, scores that are the geometric mean of the joints'
