@@ -16,6 +16,7 @@ from twohands.geometry.boxes import box_in_picture, box_iou
 from twohands.geometry.segmentation import UNCERTAIN, HandBoxes
 from twohands.inference.detection import Detection, HandFinder
 from twohands.inference.expected import FARTHEST, Expected, joints_of, strayed
+from twohands.inference.handedness import PASSED
 from twohands.inference.keypoints import in_sight, joint_boxes
 from twohands.inference.side_decision import known_assignment, known_scores
 from twohands.inference.trail import Trail
@@ -45,8 +46,9 @@ def followed_hands(finder: HandFinder, trail: Trail, expected: Expected) -> Dete
         None where HandSegNet is to look: no hand can be followed (`followed_boxes`); or one is less likely a hand than
         none, by the card's last decision where the first pose networks see it, by what the second ones themselves say;
         or it is not where it was expected (`FARTHEST`); or nothing is known of the range of one that the second ones
-        follow. Those that saw a hand see it again; where the first ones lose theirs, the second are asked. A hand that
-        the second ones saw before may be elsewhere, if they see it twice there (`_seen_twice`).
+        follow. Those that saw a hand see it again; where the first ones lose theirs, the second are asked, and must be
+        sure (`PASSED`): they know rendered hands less. A hand that the second ones saw before may be elsewhere, if they
+        see it twice there (`_seen_twice`).
     """
     finder, expected_px = replace(finder, keep_masks=True), expected.joints_px
     boxes = followed_boxes(trail, expected_px, finder.size, finder.card)
@@ -60,7 +62,8 @@ def followed_hands(finder: HandFinder, trail: Trail, expected: Expected) -> Dete
     elsewhere = astray & _seen_twice(finder, looked, seen, expected_px)
     found, lost = _first_judged(finder, trail, seen, expected_px)
     found = finder.seen_better(found, boxes.boxes_px, expected_px, lost=lost)
-    gone = (found.keypoints.hand_logits < 0) | (_far_from(expected_px[present], found) & ~elsewhere)
+    doubted = found.keypoints.hand_logits < np.where(lost, PASSED, 0.0)
+    gone = doubted | (_far_from(expected_px[present], found) & ~elsewhere)
     if np.where(found.keypoints.pairs == 1, gone, lost).any():
         return None
     return found._replace(followed=True)
