@@ -53,8 +53,11 @@ def test_how_long_segmentation_rests():
         hands = [HandPose(False) if pair is None else replace(pose_at(0).left, pair=pair) for pair in pairs]
         return longest_rest(replace(pose_at(0), left=hands[0], right=hands[1]), 2)
 
-    assert seen(0, 0) == seen(1, 0) == seen(0, 1) == 2 and seen(1, 1) == 2 * LONGER_REST
-    assert seen(1, None) == seen(None, 1) == 2 and seen(0, None) == seen(None, 0) == 0, "the other hand may come"
+    alone, both = LONGER_REST
+    assert seen(0, 0) == seen(1, 0) == seen(0, 1) == 2 and seen(1, 1) == 2 * both
+    assert seen(1, None) == seen(None, 1) == 2 * alone
+    assert seen(0, None) == seen(None, 0) == 0, "the other hand may come"
+    assert seen(None, None) == 0
 
 
 def test_a_hand_that_leaves_and_hands_in_one_place_are_not_followed():

@@ -24,12 +24,12 @@ from twohands.inference.weights import WeightsCard
 from twohands.skeleton import LEFT, RIGHT
 from twohands.types import HandPose, TwoHandPose
 
-REST_FRAMES: Final = 2
+REST_FRAMES: Final = 1
 """For so many frames in a row HandSegNet may rest: the older the masks, the worse PoseNet2D's crops (docs/history/
-journal.md, *Two frames of rest*)."""
-LONGER_REST: Final = 3
-"""Times as long it may rest while the second pair of pose networks follows both hands, which needs no masks
-(docs/history/journal.md, *Real hands followed*)."""
+journal.md, *One frame of rest*)."""
+LONGER_REST: Final = (2, 6)
+"""Times as long it may rest while the second pair of pose networks, which needs no masks, follows a hand that is alone,
+or both (docs/history/journal.md, *Real hands followed*)."""
 _MOST_CELLS: Final = 960
 """Masks of followed hands have at most so many cells along the longer side of the picture."""
 
@@ -103,11 +103,10 @@ def _first_judged(
 def longest_rest(pose: TwoHandPose, rest_frames: int) -> int:
     """For how many frames in a row HandSegNet may rest once it has seen these hands, if it is `rest_frames` for both by
     the first pose networks. One hand that these see is never followed: the other may come."""
-    present = [hand for hand in pose.hands if hand.present]
-    by_second = all(hand.pair for hand in present)
-    if len(present) == 2:
-        return rest_frames * LONGER_REST if by_second else rest_frames
-    return rest_frames if by_second else 0
+    pairs = [hand.pair for hand in pose.hands if hand.present]
+    if pairs and all(pairs):
+        return rest_frames * LONGER_REST[len(pairs) - 1]
+    return rest_frames if len(pairs) == 2 else 0
 
 
 def followed_boxes(
