@@ -117,6 +117,17 @@ def test_a_palm_is_weighed_by_hand(palm, pose, left, right):
         np.testing.assert_allclose(values, [np.nan, np.nan] if expected is None else expected)
 
 
+def test_of_candidates_in_one_place_palms_say_nothing_that_is_known_of_either():
+    """Named case: a pair on one hand was believed, for one candidate the palm passed, for the other PoseNet2D."""
+    here, found = finder(lambda image, joints_px, palms: np.zeros((len(joints_px) + len(palms), 2)), same_place_iou=0.0)
+    pose, palm = np.array([[-5.0, 7.0], [-5.0, np.nan]]), np.array([[1.0, 9.0, 2.0]] * 3)
+    evidence = dataclasses.replace(here.evidence(found, None)[0], palm=palm, pose=pose, merged_pose=np.zeros(2))
+    columns = [FIRST_FEATURES.index(name) for name in FIRST_FEATURES if "palm" in name]
+    assert not np.nan_to_num(first_features(evidence)[:, columns]).any()
+    apart = first_features(dataclasses.replace(evidence, merged_pose=None))[:, FIRST_FEATURES.index("palm")]
+    assert apart[ANSWERS.index((0, -1))] == 6 and apart[ANSWERS.index((-1, 1))] != 6
+
+
 @pytest.fixture
 def second_crops():
     """What the second pose networks are first shown of the picture's right hand, by its palms."""
