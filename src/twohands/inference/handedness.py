@@ -103,12 +103,12 @@ class Evidence:
     palm: np.ndarray = field(default_factory=lambda: np.full((3, 3), np.nan))
     body: Body | None = None
 
-    def surest(self, candidate: int | None = None) -> float:
-        """PoseNet2D's largest log-odds that a candidate is a hand, of either side; of candidates in one place, the
-        largest of both and of both together."""
-        if self.merged_pose is not None:
-            return float(np.nanmax([*self.pose.ravel(), *self.merged_pose]))
-        return float(np.nanmax(self.pose[:, candidate]))
+    def surest(self, row: int) -> float:
+        """PoseNet2D's largest log-odds of a hand, of either side, in the place of a row of `palm`; of candidates in one
+        place the largest of both, and of both together."""
+        if self.merged_pose is None:
+            return float(np.nanmax(self.pose[:, row]))
+        return float(np.nanmax([*self.pose.ravel(), *self.merged_pose]))
 
     def checks(self, source: np.ndarray) -> np.ndarray:
         """(2,) HandCheck's log-odds that the hands of an answer, `Assignment.source`, are hands; NaN for an absent one
@@ -324,7 +324,7 @@ def _of_hand(evidence: Evidence, side: int, candidate: int) -> dict[str, float]:
         "joints_contrast": 0.0 if unseen else joints[side] - joints[other],
         **_of_check(evidence.check[candidate], side, "check"),
         "check_unseen": float(np.isnan(evidence.check[candidate, 0])),
-        **_of_palm(evidence.palm[candidate], side, evidence.surest(candidate), "palm"),
+        **_of_palm(evidence, side, candidate, "palm"),
         **_of_body(evidence.body, side, box_px, "body"),
         "size": _log_size(box_sizes(box_px[None], evidence.image_size)[0]),
         "arm_outside": float(np.clip(arm_outside, -2, 2)),
@@ -350,7 +350,7 @@ def _of_merged(evidence: Evidence, side: int) -> dict[str, float]:
         "merged_joints": joints[side] - _USUAL_SCORE,
         "merged_size": _log_size(box_sizes(box_px[None], evidence.image_size)[0]),
         **_of_check(evidence.merged_check, side, "merged_check"),
-        **_of_palm(evidence.palm[2], side, evidence.surest(), "merged_palm"),
+        **_of_palm(evidence, side, 2, "merged_palm"),
         **_of_body(evidence.body, side, box_px, "merged_body"),
         **_of_before(evidence.before, side, box_px),
     }
@@ -372,14 +372,14 @@ def _each_once(palm: np.ndarray) -> np.ndarray:
     return alone
 
 
-def _of_palm(palm: np.ndarray, side: int, surest: float, name: str) -> dict[str, float]:
-    """What a palm (3,), as in `Evidence.palm`, says of a hand of a side: nothing where it does not pass as one, and
-    less the larger PoseNet2D's log-odds, `Evidence.surest`, of a hand there are."""
-    near, hand, left = np.nan_to_num(palm)
+def _of_palm(evidence: Evidence, side: int, row: int, name: str) -> dict[str, float]:
+    """What the palm of a row of `Evidence.palm` says of a hand of a side: nothing where it does not pass as one, and
+    less the surer PoseNet2D is of a hand there."""
+    near, hand, left = np.nan_to_num(evidence.palm[row])
     passed = max(_limited(hand - PASSED), 0.0)
     if passed == 0:
         return {}
-    counts = near * (1 - max(_limited(surest), 0.0) / LOGIT_LIMIT)
+    counts = near * (1 - max(_limited(evidence.surest(row)), 0.0) / LOGIT_LIMIT)
     return {name: counts * passed, f"{name}_side": counts * _limited(left if side == LEFT else -left)}
 
 
