@@ -271,6 +271,7 @@ class TwoHandPose:
             exported.
         around_px: (2, 2) middle of the person's body and a point at its end, in pixels; None where there is none; for
             the next frame of a video, not exported.
+        image: (H, W, 3) uint8 RGB, the picture itself; for the next frame of a video, not exported.
     """
 
     left: HandPose
@@ -283,6 +284,7 @@ class TwoHandPose:
     crop_masks: np.ndarray | None = field(default=None, repr=False)
     turn_logits: np.ndarray | None = field(default=None, repr=False)
     around_px: np.ndarray | None = field(default=None, repr=False)
+    image: np.ndarray | None = field(default=None, repr=False)
 
     @property
     def hands(self) -> tuple[HandPose, HandPose]:
@@ -290,8 +292,8 @@ class TwoHandPose:
         return self.left, self.right
 
     def without_masks(self) -> TwoHandPose:
-        """The same with no masks, for who keeps many."""
-        return replace(self, masks=None, crop_masks=None)
+        """The same with neither masks nor picture, for who keeps many."""
+        return replace(self, masks=None, crop_masks=None, image=None)
 
     @property
     def between_hands_m(self) -> np.ndarray | None:

@@ -47,6 +47,33 @@ class BodyNetworks:
     joints: Callable[[np.ndarray], tuple[np.ndarray, ...]]
 
 
+def no_body() -> Body | None:
+    """Where nobody looks for one."""
+    return None
+
+
+class BodySight:
+    """The body of the person in a picture, looked for when it is first asked for, with its whereabouts for a clip's
+    next frame.
+
+    Args:
+        look: the picture's body, looked for around given points or None, as `seen_body` does.
+        around_px: (2, 2) where it was last seen, if it was.
+    """
+
+    def __init__(self, look: Callable[[np.ndarray | None], Body | None], around_px: np.ndarray | None = None) -> None:
+        self._look: Callable[[np.ndarray | None], Body | None] | None = look
+        self._body: Body | None = None
+        self.around_px = around_px
+
+    def __call__(self) -> Body | None:
+        """The body; None where there is none."""
+        if self._look is not None:
+            self._body, self._look = self._look(self.around_px), None
+            self.around_px = None if self._body is None else self._body.around_px
+        return self._body
+
+
 def seen_body(networks: BodyNetworks, image: np.ndarray, around_px: np.ndarray | None = None) -> Body | None:
     """The body of a person.
 

@@ -210,8 +210,8 @@ class HandFinder(HandLooker):
         known = np.asarray(np.isfinite(places_px).all(axis=1))
         places_px = np.where(known[:, None], places_px, places_px[::-1])
         astray = ~(np.asarray(box_iou(boxes.boxes_px, places_px)) >= self.card.decision.same_place_iou)
-        if self.body is not None:
-            near = np.array([self.body.near(box_px)[side] for side, box_px in enumerate(boxes.boxes_px)])
+        if (boxes.present & ~known).any() and (body := self.body()) is not None:
+            near = np.array([body.near(box_px)[side] for side, box_px in enumerate(boxes.boxes_px)])
             astray |= ~known & (near > SURE)
         return not astray[boxes.present].any()
 
@@ -239,7 +239,7 @@ class HandFinder(HandLooker):
         if doubtful and (check := self.stages.check) is not None:
             checks, palms = self._checked(check, boxes, seen, merged)
         maps = boxes.evidence or box_evidence(NO_MAPS, NO_MAPS, np.full((2, 4), np.nan), (1, 1))
-        said = {"check": checks[:2], "merged_check": checks[2], "palm": palms, "body": self.body}
+        said = {"check": checks[:2], "merged_check": checks[2], "palm": palms, "body": self.body()}
         known = Evidence(self.size, boxes.boxes_px, maps, pose, joints, *together, distance, before, **said)
         return known, CandidateViews(alone, merged)
 

@@ -17,7 +17,7 @@ import numpy as np
 from twohands.geometry.body import Body
 from twohands.geometry.palm import Palm
 from twohands.geometry.segmentation import HandBoxes, certain_masks, parted_masks
-from twohands.inference.body import guessed_masks
+from twohands.inference.body import BodySight, guessed_masks, no_body
 from twohands.inference.detection import Detection, HandFinder
 from twohands.inference.engine import Networks, load_networks
 from twohands.inference.expected import Expected
@@ -130,27 +130,26 @@ class HandEstimator:
         keep_masks = truth.masks is not None
         finder = HandFinder(self.stages, self.card, image, camera, expected, keep_masks=keep_masks)
         found, said = None, None
-        around_px = None if trail is None else trail.last[-1].around_px
+        body = self.body(image, None if trail is None else trail.last[-1].around_px)
         unaided = self.card.decides and truth.replaces_nothing
         if trail is not None and expected is not None and trail.may_rest and unaided:
             found = followed_hands(finder, trail, expected)
         if found is None:
             maps = None if truth.knows_hands else self.stages.hand_maps(image)
             said = None if maps is None else maps.turn_logits
-            body = self.body(image, around_px) if unaided else None
-            finder = replace(finder, body=body, palms=self.palms(image) if unaided else no_palms)
-            found = self.find_hands(finder, *self.segment(image, truth, maps, body), truth, trail)
-            around_px = None if body is None else body.around_px
+            finder = replace(finder, body=body, palms=self.palms(image)) if unaided else finder
+            found = self.find_hands(finder, *self.segment(image, truth, maps, finder.body), truth, trail)
         left, right = self.place_hands(finder, found, hand_length_m, truth)
-        masks, crop_masks = (None, None) if found.followed else (certain_masks(found.masks), found.masks)
-        return TwoHandPose(left, right, camera, masks, index, time_s, found.followed, crop_masks, said, around_px)
+        masks = None if found.followed else certain_masks(found.masks)
+        known = found.followed, found.masks, said, body.around_px, image
+        return TwoHandPose(left, right, camera, masks, index, time_s, *known)
 
     def segment(
         self,
         image: np.ndarray,
         truth: StageTruth = NO_TRUTH,
         maps: HandMaps | None = None,
-        body: Body | None = None,
+        body: Callable[[], Body | None] = no_body,
     ) -> tuple[np.ndarray, HandBoxes]:
         """Stage 1: masks (H, W), and boxes of the candidates; of HandSegNet's maps where they are known, and of the
         body's hands that it misses."""
@@ -164,9 +163,11 @@ class HandEstimator:
                 masks = guessed_masks(masks, boxes)
         return masks, boxes
 
-    def body(self, image: np.ndarray, around_px: np.ndarray | None = None) -> Body | None:
-        """The body of the person in a picture, looked for where it was in a clip's last frame, (2, 2), first."""
-        return None if self.stages.body is None else self.stages.body(image, around_px)
+    def body(self, image: np.ndarray, around_px: np.ndarray | None = None) -> BodySight:
+        """What gives the body of the person in a picture, looked for where it was when a clip last asked, (2, 2),
+        first; none without networks that know bodies."""
+        look = self.stages.body
+        return BodySight((lambda _: None) if look is None else partial(look, image), around_px)
 
     def palms(self, image: np.ndarray) -> Callable[[], Sequence[Palm]]:
         """What gives the palms in a picture, looked for when it is first asked; none without a network that knows

@@ -9,29 +9,27 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Final
 
-import cv2
 import numpy as np
 
-from twohands.geometry.boxes import box_in_picture, box_iou
-from twohands.geometry.segmentation import UNCERTAIN, HandBoxes
+from twohands.geometry.boxes import box_iou
+from twohands.geometry.segmentation import HandBoxes
 from twohands.inference.detection import Detection, HandFinder
-from twohands.inference.expected import FARTHEST, Expected, joints_of, strayed
+from twohands.inference.expected import FARTHEST, Expected, strayed
 from twohands.inference.handedness import PASSED
 from twohands.inference.keypoints import in_sight, joint_boxes
+from twohands.inference.moved_masks import moved_masks
 from twohands.inference.side_decision import known_assignment, known_scores
 from twohands.inference.trail import Trail
 from twohands.inference.weights import WeightsCard
 from twohands.skeleton import LEFT, RIGHT
 from twohands.types import HandPose, TwoHandPose
 
-REST_FRAMES: Final = 1
+REST_FRAMES: Final = 3
 """For so many frames in a row HandSegNet may rest: the older the masks, the worse PoseNet2D's crops (docs/history/
-journal.md, *One frame of rest*)."""
-LONGER_REST: Final = (2, 6)
+journal.md, *Masks that move with the picture*)."""
+LONGER_REST: Final = (1, 2)
 """Times as long it may rest while the second pair of pose networks, which needs no masks, follows a hand that is alone,
 or both (docs/history/journal.md, *Real hands followed*)."""
-_MOST_CELLS: Final = 960
-"""Masks of followed hands have at most so many cells along the longer side of the picture."""
 
 
 def followed_hands(finder: HandFinder, trail: Trail, expected: Expected) -> Detection | None:
@@ -54,7 +52,9 @@ def followed_hands(finder: HandFinder, trail: Trail, expected: Expected) -> Dete
     boxes = followed_boxes(trail, expected_px, finder.size, finder.card)
     if boxes is None or np.isnan(expected.ranges[boxes.present & (expected.pairs > 0), 0]).any():
         return None
-    masks, present = moved_masks(trail, expected_px), np.flatnonzero(boxes.present)
+    present = np.flatnonzero(boxes.present)
+    masked = (expected.pairs[present] == 0).any()  # the second ones need none
+    masks = moved_masks(trail.last[-1], finder.image, expected_px) if masked else np.zeros((1, 1), np.uint8)
     crops = finder.joint_crops(masks, boxes.boxes_px, expected_px[present], present, expected.pairs[present])
     looked = Detection(masks, boxes, finder.looked(masks, boxes.boxes_px, crops))
     astray = (looked.keypoints.pairs == 1) & _far_from(expected_px[present], looked)
@@ -132,62 +132,6 @@ def followed_boxes(
     if present.all() and box_iou(*boxes_px) >= card.decision.same_place_iou:
         return None
     return HandBoxes(boxes_px, present, known_scores(trail))
-
-
-def moved_masks(trail: Trail, expected_px: np.ndarray) -> np.ndarray:
-    """What HandSegNet saw last, what is perhaps a hand's included, moved, turned and scaled with the joints.
-
-    No wider and no coarser than it was: a rim of bright background makes a small hand seem near.
-
-    Args:
-        trail: of the clip.
-        expected_px: (2, 21, 2) `Expected.joints_px`.
-
-    Returns:
-        (h, w) uint8 masks of the picture, 0 background, 1 left, 2 right, of large pictures coarser than these; all
-        background where nothing was seen.
-    """
-    if trail.seen.crop_masks is None:
-        return np.zeros((1, 1), np.uint8)
-    step = -(-max(trail.seen.crop_masks.shape) // _MOST_CELLS)
-    before = np.ascontiguousarray(trail.seen.crop_masks[::step, ::step])
-    masks = np.zeros_like(before)
-    for side, joints in enumerate(joints_of(trail.seen)):
-        if np.isfinite(joints).all() and np.isfinite(expected_px[side]).all():
-            own = np.zeros(256, np.uint8)
-            own[[1 + side, 1 + side + UNCERTAIN]] = 1 + side
-            _move(cv2.LUT(before, own), similarity(joints / step, expected_px[side] / step), masks)
-    return masks
-
-
-def _move(mask: np.ndarray, place: np.ndarray, masks: np.ndarray) -> None:
-    """Puts a mask (h, w), moved by a matrix (2, 3), over masks of the same size, in place. Only the part that it
-    covers is touched: hands are small."""
-    left, top, width, height = cv2.boundingRect(mask)
-    corners = np.array([[0, 0], [1, 0], [0, 1], [1, 1]]) * (width, height) + (left, top)
-    size = masks.shape[1], masks.shape[0]
-    box = np.asarray(box_in_picture(corners @ place[:, :2].T + place[:, 2], *size))
-    low, high = np.floor(box[:2]).astype(int), np.minimum(np.ceil(box[2:]) + 1, size).astype(int)
-    if not width or (high <= low).any():
-        return
-    own = place.copy()
-    own[:, 2] += place[:, :2] @ (left, top) - low
-    part = mask[top : top + height, left : left + width]
-    part = cv2.warpAffine(part, own, (high - low).tolist(), flags=cv2.INTER_NEAREST)
-    covered = masks[low[1] : high[1], low[0] : high[0]]
-    np.copyto(covered, part, where=part > 0)
-
-
-def similarity(points: np.ndarray, moved: np.ndarray) -> np.ndarray:
-    """The shift, turn and scale that bring points (N, 2) nearest to others (N, 2), by least squares: (2, 3), for
-    columns (u, v, 1). Of points that are all one, a shift."""
-    middle, to = points.mean(axis=0), moved.mean(axis=0)
-    around, other = points - middle, moved - to
-    spread = float((around**2).sum())
-    turn = np.array([(around * other).sum(), (around[:, 0] * other[:, 1] - around[:, 1] * other[:, 0]).sum()])
-    cos, sin = turn / spread if spread > 0 else (1.0, 0.0)
-    linear = np.array([[cos, -sin], [sin, cos]])
-    return np.column_stack([linear, to - linear @ middle])
 
 
 def going_on(found: Detection, expected: Expected | None) -> np.ndarray:

@@ -14,7 +14,7 @@ import numpy as np
 from twohands.geometry.body import Body
 from twohands.geometry.boxes import continued_box, ellipse_in, roll_up_deg, upright_roll_deg
 from twohands.geometry.palm import SURE_LOGIT, Palm, palm_in
-from twohands.inference.body import SURE
+from twohands.inference.body import SURE, no_body
 from twohands.inference.expected import Expected
 from twohands.inference.keypoints import Keypoints, cuttable, in_sight, off_upright_deg, rolled_hand_box
 from twohands.inference.palm import no_palms
@@ -35,8 +35,7 @@ class HandLooker:
         image: (H, W, 3).
         camera: of the image.
         expected: of the frame of a clip; None of a picture alone, and of the first frame.
-        body: of the person; None where there is none.
-        palms: gives those in the picture; the network is asked where somebody wants to know.
+        body, palms: give the person's, and those in the picture; the networks are asked where somebody wants to know.
     """
 
     stages: Stages
@@ -44,7 +43,7 @@ class HandLooker:
     image: np.ndarray
     camera: PinholeCamera
     expected: Expected | None = None
-    body: Body | None = None
+    body: Callable[[], Body | None] = no_body
     palms: Callable[[], Sequence[Palm]] = no_palms
 
     @property
@@ -109,10 +108,10 @@ class HandLooker:
         if place is not None and place[1] > SURE and palms[place[0]].logit > SURE_LOGIT:
             palm = palms[place[0]]
             return palm.around_px(), float(roll_up_deg(palm.along_px))
-        if self.body is not None:
-            near = self.body.near(box_px)
+        if (body := self.body()) is not None:
+            near = body.near(box_px)
             if near.max() > SURE:
-                return self._around(box_px), float(roll_up_deg(self.body.along_px[near.argmax()]))
+                return self._around(box_px), float(roll_up_deg(body.along_px[near.argmax()]))
         return None
 
     def joint_crops(

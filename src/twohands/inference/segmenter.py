@@ -31,7 +31,7 @@ from twohands.geometry.segmentation import (
     resized_maps,
     unmirrored,
 )
-from twohands.inference.body import with_body
+from twohands.inference.body import no_body, with_body
 from twohands.inference.decision import PictureView, ViewConfig
 from twohands.inference.weights import WeightsCard
 from twohands.skeleton import LEFT, RIGHT
@@ -176,7 +176,7 @@ def candidate_boxes(
     maps: HandMaps,
     image_size: tuple[int, int],
     present: np.ndarray | None = None,
-    body: Body | None = None,
+    body: Callable[[], Body | None] = no_body,
 ) -> HandBoxes:
     """Where hands may be: those found, or, where the card's fitted decision has a say later, candidates.
 
@@ -185,7 +185,7 @@ def candidate_boxes(
         maps: of the picture.
         image_size: (H, W) of the picture.
         present: (2,) bool, the known answer; None to decide by score.
-        body: of the person, which may have hands that are not seen (`body.with_body`).
+        body: of the person, which may have hands that are not seen (`body.with_body`); asked where one is missing.
     """
     rules = card.decision
     threshold = rules.candidate_threshold if card.decides else rules.presence_threshold
@@ -194,7 +194,7 @@ def candidate_boxes(
         return boxes
     if present is None:
         boxes = parted_boxes(boxes, maps.energies, image_size, rules.candidate_threshold, rules.same_place_iou)
-        boxes = with_body(boxes, body, image_size)
+        boxes = boxes if boxes.present.all() else with_body(boxes, body(), image_size)
     return replace(boxes, evidence=box_evidence(maps.energies, maps.leads, boxes.boxes_px, image_size))
 
 

@@ -109,13 +109,13 @@ def turned_pose(pose: TwoHandPose, turn: int) -> TwoHandPose:
         return pose
     size, camera = (pose.camera.height, pose.camera.width), turned_camera(pose.camera, turn)
     left, right = (_turned_hand(hand, size, turn) for hand in pose.hands)
-    masks, crop_masks = (
-        None if known is None else turned_image(known, turn) for known in (pose.masks, pose.crop_masks)
+    masks, crop_masks, image = (
+        None if known is None else turned_image(known, turn) for known in (pose.masks, pose.crop_masks, pose.image)
     )
     logits = None if pose.turn_logits is None else np.roll(pose.turn_logits, turn)
     around_px = None if pose.around_px is None else turned_points(pose.around_px, size, turn)
     turned = replace(pose, left=left, right=right, camera=camera, masks=masks, crop_masks=crop_masks)
-    return replace(turned, turn_logits=logits, around_px=around_px)
+    return replace(turned, turn_logits=logits, around_px=around_px, image=image)
 
 
 def turned_trail(trail: Trail, size: tuple[int, int], turn: int) -> Trail:
