@@ -229,13 +229,14 @@ def load_networks(folder: Path, card: WeightsCard, threads: int = 0) -> Networks
             check = partial(_only_output, network)
         body = None
         if others_card.body:
-            finder = opened(other, others_card, BODY_NETWORKS[0], *FINDER_SHAPE)
-            used.append(finder)
-            joints = _when_asked(partial(opened, other, others_card, BODY_NETWORKS[1], *JOINTS_SHAPE))
-            body = BodyNetworks(finder, joints)
+            shapes = zip(BODY_NETWORKS, (FINDER_SHAPE, JOINTS_SHAPE), strict=True)
+            of_body = [opened(other, others_card, name, *shape) for name, shape in shapes]
+            used += of_body
+            body = BodyNetworks(*of_body)
         palm = None
         if others_card.palm:
-            palm = _when_asked(partial(opened, other, others_card, PALM_DETECTOR, *PALM_SHAPE))
+            palm = opened(other, others_card, PALM_DETECTOR, *PALM_SHAPE)
+            used.append(palm)
         second = SecondNetworks(others_card, *_pose_functions(*others), check, body, palm)
     # Nothing but this side by side: where Python looks into networks, it and OpenVINO may wait for each other's locks.
     with ThreadPoolExecutor() as pool:
@@ -256,19 +257,6 @@ def _pose_functions(
         return heatmaps, judged[0][:, -1] if judged else np.zeros(len(batch), np.float32)
 
     return pose_net_2d, partial(_only_output, pose_3d)
-
-
-def _when_asked(open_network: Callable[[], OpenVinoNetwork]) -> Callable[[np.ndarray], tuple[np.ndarray, ...]]:
-    """A network that is read and compiled when it is first asked: pictures of hands alone never need it."""
-    opening, networks = Lock(), list[OpenVinoNetwork]()
-
-    def ask(batch: np.ndarray) -> tuple[np.ndarray, ...]:
-        with opening:
-            if not networks:
-                networks.append(open_network())
-        return networks[0](batch)
-
-    return ask
 
 
 def _only_output(network: OpenVinoNetwork, batch: np.ndarray) -> np.ndarray:
