@@ -12,7 +12,7 @@ from tests.oracles import Oracle, drawn_hands, hand_masks, make_card, restaged
 from twohands.geometry.body import Body, body_square
 from twohands.geometry.boxes import apply_homography
 from twohands.geometry.segmentation import HandBoxes
-from twohands.inference.body import BodyNetworks, guessed_masks, seen_body, with_body
+from twohands.inference.body import BodyNetworks, BodySight, guessed_masks, seen_body, with_body
 from twohands.inference.detection import Detection, HandFinder
 from twohands.inference.engine import load_networks
 from twohands.inference.stages import StageTruth
@@ -79,6 +79,21 @@ def test_a_body_is_found_and_then_seen_closer():
 def test_in_a_clip_it_is_looked_for_where_it_was(said, asked, there):
     body = seen_body(said.networks, picture(), BODY.around_px)
     assert said.asked == asked and (body is not None) == there
+
+
+@pytest.mark.parametrize("found", [BODY, None])
+def test_a_body_is_looked_for_once_and_only_when_it_is_asked_for(found):
+    asked, known_px = [], np.zeros((2, 2))
+
+    def look(around_px):
+        asked.append(around_px)
+        return found
+
+    sight = BodySight(look, known_px)
+    assert sight.around_px is known_px and not asked  # the clip goes on with what it knew
+    assert sight() is found and sight() is found
+    assert len(asked) == 1 and asked[0] is known_px
+    assert sight.around_px is (None if found is None else BODY.around_px)
 
 
 def boxes(left=NOTHING, right=NOTHING) -> HandBoxes:
@@ -189,7 +204,7 @@ def test_the_shipped_networks_are_those_that_were_published():
 
 def test_what_a_body_says_goes_into_the_decision():
     estimator, sample = known_hands()
-    finder = HandFinder(estimator.stages, estimator.card, sample.image, sample.camera, body=BODY)
+    finder = HandFinder(estimator.stages, estimator.card, sample.image, sample.camera, body=lambda: BODY)
     masks, found = estimator.segment(sample.image)
     crops = finder.crops(masks, found.boxes_px, np.flatnonzero(found.present))
     looked = Detection(masks, found, finder.looked(masks, found.boxes_px, crops))

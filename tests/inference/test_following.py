@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 from tests.inference.test_expected import SAMPLE, pose_at, trail_of
@@ -10,7 +9,7 @@ from tests.oracles import Oracle, drawn_hands, make_card, restaged
 
 from twohands.geometry.boxes import upright_roll_deg
 from twohands.inference.expected import FARTHEST
-from twohands.inference.following import LONGER_REST, followed_boxes, longest_rest, moved_masks, similarity
+from twohands.inference.following import SECOND_REST_FRAMES, followed_boxes, longest_rest
 from twohands.inference.side_keeping import NOTHING_KNOWN, SideMemory
 from twohands.inference.trail import Trail
 from twohands.types import HandPose, TwoHandPose
@@ -48,14 +47,15 @@ class Follower:
         return self.estimator.estimate(sample.image, sample.camera, LENGTH_M, index=index, previous=trail)
 
 
-def test_how_long_segmentation_rests():
+@pytest.mark.parametrize("both_frames", [0, 1, 4])
+def test_how_long_segmentation_rests(both_frames):
     def seen(*pairs):
         hands = [HandPose(False) if pair is None else replace(pose_at(0).left, pair=pair) for pair in pairs]
-        return longest_rest(replace(pose_at(0), left=hands[0], right=hands[1]), 2)
+        return longest_rest(replace(pose_at(0), left=hands[0], right=hands[1]), both_frames)
 
-    alone, both = LONGER_REST
-    assert seen(0, 0) == seen(1, 0) == seen(0, 1) == 2 and seen(1, 1) == 2 * both
-    assert seen(1, None) == seen(None, 1) == 2 * alone
+    alone, both = SECOND_REST_FRAMES if both_frames else (0, 0)
+    assert seen(0, 0) == seen(1, 0) == seen(0, 1) == both_frames and seen(1, 1) == both
+    assert seen(1, None) == seen(None, 1) == alone
     assert seen(0, None) == seen(None, 0) == 0, "the other hand may come"
     assert seen(None, None) == 0
 
@@ -69,58 +69,6 @@ def test_a_hand_that_leaves_and_hands_in_one_place_are_not_followed():
     assert followed_boxes(trail, gone, SIZE, CARD) is None
     assert followed_boxes(trail, np.stack([SAMPLE.joints_px[0]] * 2), SIZE, CARD) is None
     assert followed_boxes(trail, np.full((2, 21, 2), np.nan), SIZE, CARD) is None
-
-
-def test_masks_go_with_the_hands():
-    """What is perhaps a hand's goes along. Named case: they were cells of four pixels, wider all round and without what
-    is perhaps a hand's, which cost hands before a webcam 17 % of their joint error."""
-    masks = np.zeros((80, 80), np.uint8)
-    masks[20:40, 20:40], masks[40, 20:40], masks[60:72, 4:16] = 1, 3, 2
-    joints_px = np.stack([np.full((21, 2), 30.0), np.full((21, 2), 66.0)])
-    joints_px[0, 0] += 240
-    left, right = (HandPose(True, 0.9, joints_px=joints) for joints in joints_px)
-    seen = TwoHandPose(left, right, SAMPLE.camera, crop_masks=masks)
-    shift = np.array([[[16.0, 8.0]], [[0.0, 0.0]]])
-    expected = np.zeros((80, 80), np.uint8)
-    expected[28:49, 36:56], expected[60:72, 4:16] = 1, 2
-    np.testing.assert_array_equal(moved_masks(Trail.of(seen), joints_px + shift), expected)
-    assert not moved_masks(Trail.of(replace(seen, crop_masks=None)), joints_px).any()
-
-
-@pytest.mark.parametrize("shift_px", [(3.4, -5.7), (-70.0, 20.0), (60.0, 45.0), (900.0, 0.0), (1e30, -1e30)])
-@pytest.mark.parametrize("turn", [0.0, 0.7, 2.5])
-def test_a_mask_moves_as_the_whole_picture_would(turn, shift_px):
-    """Only the part that it covers is moved, also where it leaves the picture, or has left it for good."""
-    rng = np.random.default_rng(3)
-    masks = np.zeros((90, 120), np.uint8)
-    masks[30:60, 40:70] = rng.integers(0, 2, (30, 30))
-    joints_px = rng.uniform(30, 70, (21, 2))
-    linear = 1.3 * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    moved_px = (joints_px - 50) @ linear.T + 50 + shift_px
-    seen = TwoHandPose(HandPose(True, 0.9, joints_px=joints_px), HandPose(present=False), SAMPLE.camera)
-    found = moved_masks(Trail.of(replace(seen, crop_masks=masks)), np.stack([moved_px, np.full((21, 2), np.nan)]))
-    place = similarity(joints_px, moved_px)
-    whole = cv2.warpAffine(masks, place, (120, 90), flags=cv2.INTER_NEAREST) if max(shift_px) < 1e9 else 0 * masks
-    assert (found != whole).sum() <= 2  # whose sources lie on the border of two pixels
-    assert found.any() == (np.abs(shift_px).max() < 100)
-
-
-def test_masks_of_large_pictures_are_coarser():
-    masks = np.zeros((1080, 1920), np.uint8)
-    masks[200:400, 200:400] = 1
-    left = HandPose(True, 0.9, joints_px=SAMPLE.joints_px[0])
-    seen = TwoHandPose(left, HandPose(present=False), SAMPLE.camera, crop_masks=masks)
-    moved = moved_masks(Trail.of(seen), np.stack([SAMPLE.joints_px[0] + 20, np.full((21, 2), np.nan)]))
-    np.testing.assert_array_equal(np.argwhere(moved)[[0, -1]], [[110, 110], [209, 209]])
-    assert moved.shape == (540, 960) and (moved == 1).sum() == 100 * 100
-
-
-def test_a_similarity_is_found_again():
-    points = np.random.default_rng(0).normal(0, 10, (21, 2))
-    linear = 1.2 * np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]])
-    place = similarity(points, points @ linear.T + [5, -7])
-    np.testing.assert_allclose(place, np.column_stack([linear, [5, -7]]), atol=1e-12)
-    np.testing.assert_allclose(similarity(np.ones((4, 2)), np.ones((4, 2)) + np.array([2, 3])), [[1, 0, 2], [0, 1, 3]])
 
 
 def test_followed_hands_are_found_without_segmentation():
@@ -170,9 +118,14 @@ def surely(first: TwoHandPose) -> SideMemory:
 
 
 def test_hands_that_segmentation_sees_in_their_places_are_not_decided_anew():
-    """One look at either hand, none at its mirror image; the picture says nothing of sides."""
+    """One look at either hand, none at its mirror image or at the body; the picture says nothing of sides."""
+
+    def body(image, around_px):
+        raise AssertionError("looked for a body")
+
     first = Follower(seen_logit=2.0).estimate(None, 0)
     follower = Follower(seen_logit=2.0)
+    follower.estimator = restaged(follower.estimator, body=body)
     again = follower.estimate(Trail((first,), first, sides=surely(first)))
     assert follower.looks == 1 and not again.followed and again.masks is not None
     assert [len(crops) for crops in follower.crops] == [2]

@@ -27,9 +27,9 @@ from twohands.types import HandPose, TwoHandPose
 REST_FRAMES: Final = 3
 """For so many frames in a row HandSegNet may rest: the older the masks, the worse PoseNet2D's crops (docs/history/
 journal.md, *Masks that move with the picture*)."""
-LONGER_REST: Final = (1, 2)
-"""Times as long it may rest while the second pair of pose networks, which needs no masks, follows a hand that is alone,
-or both (docs/history/journal.md, *Real hands followed*)."""
+SECOND_REST_FRAMES: Final = (2, 6)
+"""The same while the second pair of pose networks, which needs no masks, follows a hand that is alone, or both (docs/
+history/journal.md, *Real hands followed*)."""
 
 
 def followed_hands(finder: HandFinder, trail: Trail, expected: Expected) -> Detection | None:
@@ -102,10 +102,10 @@ def _first_judged(
 
 def longest_rest(pose: TwoHandPose, rest_frames: int) -> int:
     """For how many frames in a row HandSegNet may rest once it has seen these hands, if it is `rest_frames` for both by
-    the first pose networks. One hand that these see is never followed: the other may come."""
+    the first pose networks; never where that is 0. One hand that these see is never followed: the other may come."""
     pairs = [hand.pair for hand in pose.hands if hand.present]
     if pairs and all(pairs):
-        return rest_frames * LONGER_REST[len(pairs) - 1]
+        return SECOND_REST_FRAMES[len(pairs) - 1] if rest_frames else 0
     return rest_frames if len(pairs) == 2 else 0
 
 

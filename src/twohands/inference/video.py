@@ -35,8 +35,8 @@ class VideoEstimator:
     Args:
         smoothing: of the ranges; None leaves them, and leaving hands, as they are.
         carried_frames: for how many frames a leaving hand is carried on.
-        rest_frames: for how many frames in a row HandSegNet may rest while hands are followed (`longest_rest`); 0 for
-            never.
+        rest_frames: for how many frames in a row HandSegNet may rest while the first pose networks follow both hands
+            (`longest_rest`); 0 for never.
         decision: of the weights' card, how what frames say of sides, and of the camera's turn, adds up.
 
     Attributes:
