@@ -9,7 +9,7 @@ from tests.oracles import Oracle, drawn_hands, make_card, restaged
 
 from twohands.geometry.boxes import upright_roll_deg
 from twohands.inference.expected import FARTHEST
-from twohands.inference.following import SECOND_REST_FRAMES, followed_boxes, longest_rest
+from twohands.inference.following import LONGEST_REST, followed_boxes, longest_rest
 from twohands.inference.side_keeping import NOTHING_KNOWN, SideMemory
 from twohands.inference.trail import Trail
 from twohands.types import HandPose, TwoHandPose
@@ -47,16 +47,16 @@ class Follower:
         return self.estimator.estimate(sample.image, sample.camera, LENGTH_M, index=index, previous=trail)
 
 
-@pytest.mark.parametrize("both_frames", [0, 1, 4])
-def test_how_long_segmentation_rests(both_frames):
+def test_how_long_segmentation_rests():
+    """By the pair that needs it sooner; never without a hand."""
+
     def seen(*pairs):
         hands = [HandPose(False) if pair is None else replace(pose_at(0).left, pair=pair) for pair in pairs]
-        return longest_rest(replace(pose_at(0), left=hands[0], right=hands[1]), both_frames)
+        return longest_rest(replace(pose_at(0), left=hands[0], right=hands[1]))
 
-    alone, both = SECOND_REST_FRAMES if both_frames else (0, 0)
-    assert seen(0, 0) == seen(1, 0) == seen(0, 1) == both_frames and seen(1, 1) == both
-    assert seen(1, None) == seen(None, 1) == alone
-    assert seen(0, None) == seen(None, 0) == 0, "the other hand may come"
+    (alone, both), (second_alone, both_second) = LONGEST_REST
+    assert seen(0, 0) == seen(1, 0) == seen(0, 1) == both and seen(1, 1) == both_second
+    assert seen(0, None) == seen(None, 0) == alone and seen(1, None) == seen(None, 1) == second_alone
     assert seen(None, None) == 0
 
 

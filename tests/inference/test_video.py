@@ -9,6 +9,7 @@ from tests.oracles import drawn_hands
 from twohands.errors import InputError
 from twohands.geometry.boxes import box_from_points
 from twohands.inference.decision import DecisionConfig
+from twohands.inference.following import LONGEST_REST
 from twohands.inference.side_keeping import NOTHING_KNOWN, SideKeeper, with_sides_exchanged
 from twohands.inference.video import VideoEstimator
 from twohands.skeleton import LEFT, ROOT
@@ -181,8 +182,9 @@ def test_the_estimator_is_told_what_was_found_before():
 
 def test_segmentation_rests_for_so_many_frames_at_most():
     """And not before hands were once where they were expected."""
-    video, seen = VideoEstimator(rest_frames=2), []
-    for index in range(8):
+    longest, seen = LONGEST_REST[0][1], []
+    video = VideoEstimator()
+    for index in range(4 + 2 * longest):
 
         def estimate(trail, index=index):
             rests = trail is not None and trail.may_rest
@@ -190,8 +192,8 @@ def test_segmentation_rests_for_so_many_frames_at_most():
             return replace(pose_of(index), followed=rests)
 
         video.update(estimate)
-    assert seen == [None, 0, 1, 1, 1, 4, 4, 4]
-    assert (video.frames, video.rested) == (8, 4)
+    assert seen == [None, 0, *[1] * (longest + 1), *[longest + 2] * (longest + 1)]
+    assert (video.frames, video.rested) == (4 + 2 * longest, 2 * longest)
 
 
 def test_segmentation_does_not_rest_where_hands_stray_or_one_is_missed():

@@ -24,12 +24,10 @@ from twohands.inference.weights import WeightsCard
 from twohands.skeleton import LEFT, RIGHT
 from twohands.types import HandPose, TwoHandPose
 
-REST_FRAMES: Final = 3
-"""For so many frames in a row HandSegNet may rest: the older the masks, the worse PoseNet2D's crops (docs/history/
-journal.md, *Masks that move with the picture*)."""
-SECOND_REST_FRAMES: Final = (2, 6)
-"""The same while the second pair of pose networks, which needs no masks, follows a hand that is alone, or both (docs/
-history/journal.md, *Real hands followed*)."""
+LONGEST_REST: Final = ((1, 3), (2, 6))
+"""For how many frames in a row HandSegNet may rest while the first pair of pose networks follows a hand that is alone,
+or both hands or one of them: the older the masks, the worse its crops, and the other hand may come (docs/history/
+journal.md, *Masks that move with the picture*); and the second pair, which needs no masks (*Real hands followed*)."""
 
 
 def followed_hands(finder: HandFinder, trail: Trail, expected: Expected) -> Detection | None:
@@ -100,13 +98,10 @@ def _first_judged(
     return found._replace(boxes=replace(found.boxes, scores=scores)), first & (doubtful[sides] | far)
 
 
-def longest_rest(pose: TwoHandPose, rest_frames: int) -> int:
-    """For how many frames in a row HandSegNet may rest once it has seen these hands, if it is `rest_frames` for both by
-    the first pose networks; never where that is 0. One hand that these see is never followed: the other may come."""
-    pairs = [hand.pair for hand in pose.hands if hand.present]
-    if pairs and all(pairs):
-        return SECOND_REST_FRAMES[len(pairs) - 1] if rest_frames else 0
-    return rest_frames if len(pairs) == 2 else 0
+def longest_rest(pose: TwoHandPose) -> int:
+    """For how many frames in a row HandSegNet may rest once it has seen these hands."""
+    pairs = [hand.pair or 0 for hand in pose.hands if hand.present]
+    return LONGEST_REST[min(pairs)][len(pairs) - 1] if pairs else 0
 
 
 def followed_boxes(

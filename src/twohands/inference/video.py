@@ -11,10 +11,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from twohands.errors import InputError
 from twohands.inference.decision import DecisionConfig
 from twohands.inference.expected import as_expected
-from twohands.inference.following import REST_FRAMES, longest_rest
+from twohands.inference.following import longest_rest
 from twohands.inference.leaving import CARRIED_FRAMES
 from twohands.inference.side_keeping import SideKeeper
 from twohands.inference.tracker import DEFAULT_SMOOTHING, HandTracker, RangeSmoothing
@@ -35,16 +34,12 @@ class VideoEstimator:
     Args:
         smoothing: of the ranges; None leaves them, and leaving hands, as they are.
         carried_frames: for how many frames a leaving hand is carried on.
-        rest_frames: for how many frames in a row HandSegNet may rest while the first pose networks follow both hands
-            (`longest_rest`); 0 for never.
+        rests: whether HandSegNet may rest while hands are followed (`longest_rest`).
         decision: of the weights' card, how what frames say of sides, and of the camera's turn, adds up.
 
     Attributes:
         frames: how many there were, over all clips.
         rested: in how many of them HandSegNet has rested.
-
-    Raises:
-        InputError: `rest_frames` is negative.
     """
 
     def __init__(
@@ -52,13 +47,11 @@ class VideoEstimator:
         smoothing: RangeSmoothing | None = DEFAULT_SMOOTHING,
         *,
         carried_frames: int = CARRIED_FRAMES,
-        rest_frames: int = REST_FRAMES,
+        rests: bool = True,
         decision: DecisionConfig | None = None,
     ) -> None:
-        if rest_frames < 0:
-            raise InputError(f"rest frames must be 0 or more, got {rest_frames}")
         self._tracker = None if smoothing is None else HandTracker(smoothing, carried_frames)
-        self._rest_frames = rest_frames
+        self._rests = rests
         self._sides = SideKeeper(decision)
         self.frames = self.rested = 0
         self.reset()
@@ -107,6 +100,6 @@ class VideoEstimator:
         if self._seen is None:
             return None
         sides = self._sides.memory
-        longest = longest_rest(self._last[-1], self._rest_frames)
-        rests = self._steady and self._resting < longest and not sides.misses_one
-        return Trail(self._last, self._seen, rests, sides, self._turn)
+        may_rest = self._rests and self._steady and not sides.misses_one
+        may_rest = may_rest and self._resting < longest_rest(self._last[-1])
+        return Trail(self._last, self._seen, may_rest, sides, self._turn)

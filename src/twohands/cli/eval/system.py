@@ -37,8 +37,8 @@ class System:
     smooth: bool = False
     """Take the frames of each folder as video: hands that were there a frame before are remembered (not a peer's), and
     ranges are smoothed and leaving hands carried on."""
-    rest_frames: int = 0
-    """With --smooth: for so many frames in a row HandSegNet may rest, as in `track`; these have no masks."""
+    rest: bool = False
+    """With --smooth: HandSegNet may rest, as in `track`; frames in which it does have no masks."""
     peer: Literal["mediapipe"] | None = None
     """Measure another system instead of ours."""
     peer_python: Path | None = None
@@ -82,8 +82,8 @@ def predict_with(dataset: OpenedDataset, system: System, count: int | None) -> P
             name, decision = weights_id(folder, estimator.card), estimator.card.decision
             settings = _settings(estimator, system)
         if system.smooth:
-            settings |= {"smoothed": True, "carried_frames": CARRIED_FRAMES, "rest_frames": system.rest_frames}
-        video = VideoEstimator(rest_frames=system.rest_frames, decision=decision)
+            settings |= {"smoothed": True, "carried_frames": CARRIED_FRAMES, "rest": system.rest}
+        video = VideoEstimator(rests=system.rest, decision=decision)
         tested = _Video(estimate, video) if system.smooth else estimate
         found = predict(samples, tested, dataset=dataset.samples.name, weights=name, settings=settings)
     return replace(found, command=this_command())
