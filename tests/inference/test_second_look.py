@@ -274,7 +274,7 @@ def test_the_second_pair_begins_with_the_turn_of_the_bodys_hand_that_is_there():
     palms_px = (boxes.boxes_px[:, :2] + boxes.boxes_px[:, 2:]) / 2
     along_px = SAMPLE.joints_px[:, ROOT] - SAMPLE.joints_px[:, WRIST]
     body = Body(palms_px, boxes.boxes_px, np.array([0.9, 0.3]), np.zeros((2, 2)), along_px)
-    finder = HandFinder(two.estimator.stages, two.estimator.card, SAMPLE.image, SAMPLE.camera, body=body)
+    finder = HandFinder(two.estimator.stages, two.estimator.card, SAMPLE.image, SAMPLE.camera, body=lambda: body)
     finder.second_looked(masks, boxes.boxes_px, np.array([LEFT, RIGHT]), None)
     rolls = [crop.roll_deg for crop in two.seen[1]]
     assert rolls == pytest.approx([upright_roll_deg(SAMPLE.joints_px)[LEFT], 0.0]), "of a hidden wrist nothing is known"
