@@ -113,6 +113,15 @@ def test_hands_may_leave_the_picture(shift_px):
     assert overlap(found, true) > 0.85 if true.any() else not found.any()
 
 
+def test_a_joint_far_outside_the_picture_needs_no_more_memory():
+    """Cameras of wide angle see joints anywhere."""
+    mask = a_hand()
+    joints_px = joints_in(mask)
+    joints_px[0] = [1e7, -1e7]
+    found = moved_masks(pose(joints_px, mask, ROOM), ROOM, np.stack([joints_px, NOTHING]))
+    assert found.shape == SIZE and found.max() <= 1
+
+
 def test_nothing_is_known_without_masks_or_picture():
     mask = a_hand()
     before, known = pose(joints_in(mask), mask, ROOM), np.stack([joints_in(mask), NOTHING])

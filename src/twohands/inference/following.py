@@ -25,9 +25,9 @@ from twohands.skeleton import LEFT, RIGHT
 from twohands.types import HandPose, TwoHandPose
 
 LONGEST_REST: Final = ((1, 3), (2, 6))
-"""For how many frames in a row HandSegNet may rest while the first pair of pose networks follows a hand that is alone,
-or both hands or one of them: the older the masks, the worse its crops, and the other hand may come (docs/history/
-journal.md, *Masks that move with the picture*); and the second pair, which needs no masks (*Real hands followed*)."""
+"""For how many frames in a row HandSegNet may rest, of a hand that is alone and of both: where the first pair of pose
+networks follows one, whose masks grow old (docs/history/journal.md, *Masks that move with the picture*), and where the
+second pair, which needs none, follows all (*Real hands followed*)."""
 
 
 def followed_hands(finder: HandFinder, trail: Trail, expected: Expected) -> Detection | None:

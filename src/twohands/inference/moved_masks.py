@@ -12,7 +12,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from twohands.geometry.boxes import warp_image
+from twohands.geometry.boxes import near_picture, warp_image
 from twohands.geometry.segmentation import UNCERTAIN
 from twohands.inference.expected import joints_of
 from twohands.types import TwoHandPose
@@ -47,7 +47,7 @@ def moved_masks(before: TwoHandPose, image: np.ndarray, expected_px: np.ndarray)
         if np.isfinite(joints).all() and np.isfinite(moved).all():
             own = np.zeros(256, np.uint8)
             own[[1 + side, 1 + side + UNCERTAIN]] = 255
-            window = _window(joints)
+            window = _window(near_picture(joints, image.shape[1], image.shape[0]))
             there = window.copy()
             there[:2, 2] += (moved - joints).mean(axis=0)
             cells = np.diag([known.shape[1] / image.shape[1], known.shape[0] / image.shape[0], 1.0])
@@ -76,13 +76,12 @@ def _flow(now: np.ndarray, before: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _paste(mask: np.ndarray, cells_from_window: np.ndarray, masks: np.ndarray, label: int) -> None:
     """Writes a label where a window's mask (S, S), 0..255, is rather a hand, into masks (h, w), in place."""
-    low = np.floor(cells_from_window[:2, 2])
-    size = int(np.ceil(cells_from_window[0, 0] * mask.shape[1])) + 1
-    if (low >= masks.shape[::-1]).any() or (low + size <= 0).any():
+    corner, extent = cells_from_window[:2, 2], np.diag(cells_from_window)[:2] * mask.shape
+    low, high = np.maximum(np.floor(corner), 0), np.minimum(np.ceil(corner + extent), masks.shape[::-1])
+    if (low >= high).any():
         return
-    shift = np.array([[1, 0, low[0]], [0, 1, low[1]], [0, 0, 1.0]])
-    part = warp_image(mask, np.linalg.inv(cells_from_window) @ shift, size)
-    left, top = low.astype(int)
-    covered = masks[max(top, 0) : top + size, max(left, 0) : left + size]
-    part = part[max(-top, 0) :, max(-left, 0) :][: covered.shape[0], : covered.shape[1]]
-    covered[part > 127] = label
+    (left, top), (right, bottom) = low.astype(int), high.astype(int)
+    covered = masks[top:bottom, left:right]
+    shift = np.array([[1, 0, left], [0, 1, top], [0, 0, 1.0]])
+    part = warp_image(mask, np.linalg.inv(cells_from_window) @ shift, max(covered.shape))
+    covered[part[: bottom - top, : right - left] > 127] = label
