@@ -102,7 +102,7 @@ def boxes(left=NOTHING, right=NOTHING) -> HandBoxes:
 
 
 def test_hands_that_are_missed_are_guessed():
-    found = with_body(boxes(), BODY, SIZE)
+    found = with_body(boxes(), lambda: BODY, SIZE)
     assert found.present.all() and found.guessed.all()
     np.testing.assert_array_equal(found.boxes_px, BODY.boxes_px)
 
@@ -116,7 +116,7 @@ def test_hands_that_are_missed_are_guessed():
     ],
 )
 def test_the_wrist_that_has_no_candidate_gives_one(seen, guessed):
-    found = with_body(boxes(**seen), BODY, SIZE)
+    found = with_body(boxes(**seen), lambda: BODY, SIZE)
     np.testing.assert_array_equal(found.boxes_px, np.array(guessed, float))
     assert found.guessed.sum() == 1 and found.present.all()
 
@@ -130,18 +130,18 @@ def test_the_wrist_that_has_no_candidate_gives_one(seen, guessed):
     ],
 )
 def test_hands_that_are_not_shown_are_not_guessed(body):
-    assert not with_body(boxes(), body, SIZE).present.any()
+    assert not with_body(boxes(), lambda: body, SIZE).present.any()
 
 
 def test_nothing_is_guessed_beside_two_candidates():
     two = boxes([0, 0, 10, 10], [20, 0, 30, 10])
-    assert with_body(two, BODY, SIZE) is two
+    assert with_body(two, lambda: BODY, SIZE) is two
 
 
 def test_guessed_hands_are_perhaps_there():
     masks = np.zeros(SIZE, np.uint8)
     masks[:, :60] = 1  # the left hand's
-    found = guessed_masks(masks, with_body(boxes(), BODY, SIZE))
+    found = guessed_masks(masks, with_body(boxes(), lambda: BODY, SIZE))
     assert found[100, 200] == 3 and found[100, 70] == 4  # perhaps left, perhaps right
     assert found[100, 50] == 1 and found[81, 181] == 0  # what is seen stays; a box's corner is no hand
     assert not masks[:, 60:].any()  # nothing is written into what was given

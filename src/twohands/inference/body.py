@@ -57,12 +57,14 @@ class BodySight:
     next frame.
 
     Args:
-        look: the picture's body, looked for around given points or None, as `seen_body` does.
+        look: the picture's body, looked for around given points or None, as `seen_body` does; None where nobody can.
         around_px: (2, 2) where it was last seen, if it was.
     """
 
-    def __init__(self, look: Callable[[np.ndarray | None], Body | None], around_px: np.ndarray | None = None) -> None:
-        self._look: Callable[[np.ndarray | None], Body | None] | None = look
+    def __init__(
+        self, look: Callable[[np.ndarray | None], Body | None] | None, around_px: np.ndarray | None = None
+    ) -> None:
+        self._look = look
         self._body: Body | None = None
         self.around_px = around_px
 
@@ -102,31 +104,31 @@ def _joints(networks: BodyNetworks, image: np.ndarray, around_px: np.ndarray) ->
     return body_of(joints.reshape(-1, VALUES).astype(np.float64), place) if chance.item() >= SURE else None
 
 
-def with_body(boxes: HandBoxes, body: Body | None, image_size: tuple[int, int]) -> HandBoxes:
+def with_body(boxes: HandBoxes, body: Callable[[], Body | None], image_size: tuple[int, int]) -> HandBoxes:
     """Candidates, where HandSegNet misses some: a hand that the body should have, in the picture, with a visible wrist.
 
     Args:
         boxes: of HandSegNet.
-        body: of the person, if there is one.
+        body: gives that of the person, if there is one; asked where a candidate is missing.
         image_size: (H, W) of the picture.
 
     Returns:
         The boxes, with those of the body `guessed`. A wrist near which HandSegNet has its one candidate gives none.
     """
-    if body is None or boxes.present.all():
+    if boxes.present.all() or (known := body()) is None:
         return boxes
-    shown = (body.visible > SURE) & inside_picture(body.palms_px, image_size[1], image_size[0])
+    shown = (known.visible > SURE) & inside_picture(known.palms_px, image_size[1], image_size[0])
     boxes_px, guessed = boxes.boxes_px.copy(), np.zeros(2, bool)
     if boxes.present.any():
         side = int(np.argmin(boxes.present))
         own = boxes_px[1 - side]
-        near = np.linalg.norm(body.palms_px - (own[:2] + own[2:]) / 2, axis=1)
+        near = np.linalg.norm(known.palms_px - (own[:2] + own[2:]) / 2, axis=1)
         wrist = int(np.argmax(near))
         guessed[side] = shown[wrist]
-        boxes_px[side] = np.where(shown[wrist], body.boxes_px[wrist], np.nan)
+        boxes_px[side] = np.where(shown[wrist], known.boxes_px[wrist], np.nan)
     else:
         guessed = shown
-        boxes_px[shown] = body.boxes_px[shown]
+        boxes_px[shown] = known.boxes_px[shown]
     return replace(boxes, boxes_px=boxes_px, present=boxes.present | guessed, guessed=guessed)
 
 

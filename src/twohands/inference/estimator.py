@@ -167,7 +167,7 @@ class HandEstimator:
         """What gives the body of the person in a picture, looked for where it was when a clip last asked, (2, 2),
         first; none without networks that know bodies."""
         look = self.stages.body
-        return BodySight((lambda _: None) if look is None else partial(look, image), around_px)
+        return BodySight(None if look is None else partial(look, image), around_px)
 
     def palms(self, image: np.ndarray) -> Callable[[], Sequence[Palm]]:
         """What gives the palms in a picture, looked for when it is first asked; none without a network that knows

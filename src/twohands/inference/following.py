@@ -17,7 +17,7 @@ from twohands.inference.detection import Detection, HandFinder
 from twohands.inference.expected import FARTHEST, Expected, strayed
 from twohands.inference.handedness import PASSED
 from twohands.inference.keypoints import in_sight, joint_boxes
-from twohands.inference.moved_masks import moved_masks
+from twohands.inference.moved_masks import NO_MASKS, moved_masks
 from twohands.inference.side_decision import known_assignment, known_scores
 from twohands.inference.trail import Trail
 from twohands.inference.weights import WeightsCard
@@ -52,7 +52,7 @@ def followed_hands(finder: HandFinder, trail: Trail, expected: Expected) -> Dete
         return None
     present = np.flatnonzero(boxes.present)
     masked = (expected.pairs[present] == 0).any()  # the second ones need none
-    masks = moved_masks(trail.last[-1], finder.image, expected_px) if masked else np.zeros((1, 1), np.uint8)
+    masks = moved_masks(trail.last[-1], finder.image, expected_px) if masked else NO_MASKS
     crops = finder.joint_crops(masks, boxes.boxes_px, expected_px[present], present, expected.pairs[present])
     looked = Detection(masks, boxes, finder.looked(masks, boxes.boxes_px, crops))
     astray = (looked.keypoints.pairs == 1) & _far_from(expected_px[present], looked)

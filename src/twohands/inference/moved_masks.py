@@ -12,10 +12,14 @@ from typing import Final
 import cv2
 import numpy as np
 
-from twohands.geometry.boxes import near_picture, warp_image
+from twohands.geometry.boxes import box_from_points, near_picture, square_crop, warp_image
 from twohands.geometry.segmentation import UNCERTAIN
 from twohands.inference.expected import joints_of
+from twohands.skeleton import LEFT
 from twohands.types import TwoHandPose
+
+NO_MASKS: Final = np.zeros((1, 1), np.uint8)
+"""Of a picture in which nothing is known to be a hand."""
 
 WINDOW_SIZE: Final = 160
 """Pixels along a side of the window around a hand in which its motion is sought (docs/history/journal.md, *Masks that
@@ -39,30 +43,22 @@ def moved_masks(before: TwoHandPose, image: np.ndarray, expected_px: np.ndarray)
         background where nothing was seen.
     """
     if before.crop_masks is None or before.image is None:
-        return np.zeros((1, 1), np.uint8)
+        return NO_MASKS
     step = -(-max(before.crop_masks.shape) // _MOST_CELLS)
     known = np.ascontiguousarray(before.crop_masks[::step, ::step])
-    masks = np.zeros_like(known)
+    masks, cells = np.zeros_like(known), np.diag([*np.divide(known.shape, image.shape[:2])[::-1], 1.0])
     for side, (joints, moved) in enumerate(zip(joints_of(before), expected_px, strict=True)):
-        if np.isfinite(joints).all() and np.isfinite(moved).all():
+        box_px = np.asarray(box_from_points(near_picture(joints, image.shape[1], image.shape[0])))
+        if (box_px[2:] > box_px[:2]).any() and np.isfinite(moved).all():
             own = np.zeros(256, np.uint8)
             own[[1 + side, 1 + side + UNCERTAIN]] = 255
-            window = _window(near_picture(joints, image.shape[1], image.shape[0]))
+            window = square_crop(box_px, size=WINDOW_SIZE, side=LEFT, margin=_ROOM)  # not mirrored
             there = window.copy()
             there[:2, 2] += (moved - joints).mean(axis=0)
-            cells = np.diag([known.shape[1] / image.shape[1], known.shape[0] / image.shape[0], 1.0])
             flow = _flow(warp_image(image, there, WINDOW_SIZE), warp_image(before.image, window, WINDOW_SIZE))
             mask = warp_image(cv2.LUT(known, own), cells @ window, WINDOW_SIZE)
             _paste(cv2.remap(mask, *flow, cv2.INTER_LINEAR), cells @ there, masks, 1 + side)
     return masks
-
-
-def _window(joints_px: np.ndarray) -> np.ndarray:
-    """(3, 3) pixels of the window around a hand's joints (21, 2) to pixels of the picture."""
-    low, high = joints_px.min(axis=0), joints_px.max(axis=0)
-    scale = _ROOM * max(float((high - low).max()), 1.0) / WINDOW_SIZE
-    corner = (low + high - scale * WINDOW_SIZE) / 2
-    return np.array([[scale, 0, corner[0]], [0, scale, corner[1]], [0, 0, 1.0]])
 
 
 def _flow(now: np.ndarray, before: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

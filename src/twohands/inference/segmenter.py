@@ -185,7 +185,7 @@ def candidate_boxes(
         maps: of the picture.
         image_size: (H, W) of the picture.
         present: (2,) bool, the known answer; None to decide by score.
-        body: of the person, which may have hands that are not seen (`body.with_body`); asked where one is missing.
+        body: of the person, which may have hands that are not seen (`body.with_body`).
     """
     rules = card.decision
     threshold = rules.candidate_threshold if card.decides else rules.presence_threshold
@@ -194,7 +194,7 @@ def candidate_boxes(
         return boxes
     if present is None:
         boxes = parted_boxes(boxes, maps.energies, image_size, rules.candidate_threshold, rules.same_place_iou)
-        boxes = boxes if boxes.present.all() else with_body(boxes, body(), image_size)
+        boxes = with_body(boxes, body, image_size)
     return replace(boxes, evidence=box_evidence(maps.energies, maps.leads, boxes.boxes_px, image_size))
 
 

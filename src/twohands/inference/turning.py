@@ -53,7 +53,8 @@ def upright_first(
             return see(image, camera, trail=trail)
         upright = None if trail is None else turned_trail(trail, size, -turn)
         pose = see(turned_image(image, -turn), turned_camera(camera, -turn), trail=upright)
-        return replace(turned_pose(pose, turn), camera=camera)  # not rounded by turns
+        pose = turned_pose(replace(pose, image=None), turn)
+        return replace(pose, camera=camera, image=image)  # as they were given: not rounded, nor copied, by turns
 
     first = likely_turn(known)
     pose = seen(first)

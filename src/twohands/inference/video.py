@@ -100,6 +100,5 @@ class VideoEstimator:
         if self._seen is None:
             return None
         sides = self._sides.memory
-        may_rest = self._rests and self._steady and not sides.misses_one
-        may_rest = may_rest and self._resting < longest_rest(self._last[-1])
-        return Trail(self._last, self._seen, may_rest, sides, self._turn)
+        calm = self._steady and not sides.misses_one and self._resting < longest_rest(self._last[-1])
+        return Trail(self._last, self._seen, self._rests and calm, sides, self._turn)
