@@ -26,9 +26,16 @@ from twohands.errors import InputError, TwoHandsError
 from twohands.files import appearing
 from twohands.inference.decision import PlacementConfig
 from twohands.inference.estimator import HandEstimator
-from twohands.inference.placement import palm_misfit, palm_span, posterior_ranges, range_sigma
+from twohands.inference.placement import (
+    PlacedHands,
+    palm_misfit,
+    palm_span,
+    posterior_ranges,
+    pulled,
+    range_sigma,
+)
 from twohands.skeleton import N_JOINTS, ROOT, WRIST
-from twohands.types import GlobalPose, HandPose, HandSample, PinholeCamera
+from twohands.types import HandSample
 
 SMOOTH: Final = 0.03
 """Error of a range's logarithm up to which its square counts, beyond which its size does: few hands are far off."""
@@ -130,25 +137,24 @@ def found_in(estimator: HandEstimator, samples: Iterable[HandSample]) -> list[Ra
 
 
 def ranges_in(estimator: HandEstimator, sample: HandSample) -> Ranges:
-    """What the pipeline finds in a picture, and what is true."""
+    """What the pipeline finds in a picture, by the pose networks whose ranges count, and what is true."""
     lengths_m = np.linalg.norm(sample.joints_m[:, ROOT] - sample.joints_m[:, WRIST], axis=-1)
-    pose = estimator.estimate(sample.image, sample.camera, np.where(np.isfinite(lengths_m), lengths_m, 0.1))
-    sides = [side for side, hand in enumerate(pose.hands) if hand.range_m is not None]
-    true = np.where(sample.present, np.linalg.norm(sample.joints_m[:, ROOT], axis=-1), np.nan)
-    estimated = np.array([pose.hands[side].range_m for side in sides], np.float64)
-    scores = np.array([pose.hands[side].joint_scores for side in sides], np.float64).reshape(-1, N_JOINTS)
-    misfit = [misfit_of(pose.hands[side], sample.camera) for side in sides]
-    canonical = np.array([pose.hands[side].canonical for side in sides], np.float64).reshape(-1, N_JOINTS, 3)
-    return Ranges(estimated, scores, true[sides], np.array(misfit, np.float64), palm_span(canonical))
+    stages, true = estimator.stages, np.where(sample.present, np.linalg.norm(sample.joints_m[:, ROOT], axis=-1), np.nan)
+    seen = [Ranges(np.zeros(0), np.zeros((0, N_JOINTS)), *np.zeros((3, 0)))]
 
+    def refine(hands: PlacedHands, ranged: PlacedHands, *known: Any) -> Any:
+        canonical = pulled(estimator.card.placement, ranged, *known[1:])
+        misfit = palm_misfit(canonical, ranged.keypoints.joints_px, *known[1:], ranged.placed)
+        found = ranged.placed.radius_m, ranged.keypoints.joint_scores, true[ranged.keypoints.sides]
+        one = Ranges(*found, misfit, palm_span(canonical))
+        seen.append(Ranges(*(part[ranged.placed.valid] for part in one)))
+        return stages.refine(hands, ranged, *known)
 
-def misfit_of(hand: HandPose, camera: PinholeCamera) -> float:
-    """`placement.palm_misfit` of a hand that was found, as projected."""
-    radius, theta, phi = (np.array([value]) for value in (hand.range_m, hand.theta_deg, hand.phi_deg))
-    assert hand.canonical is not None and hand.joints_px is not None and hand.joints_m is not None
-    length = np.linalg.norm(hand.joints_m[WRIST] - hand.joints_m[ROOT]) / np.linalg.norm(hand.canonical[WRIST])
-    place = GlobalPose(hand.joints_m[None], radius, np.radians(theta), np.radians(phi), np.zeros(1), np.ones(1, bool))
-    return float(palm_misfit(hand.canonical[None], hand.joints_px[None], camera, np.array([length]), place)[0])
+    watched = HandEstimator(estimator.networks, estimator.card, dataclasses.replace(stages, refine=refine))
+    pose = watched.estimate(sample.image, sample.camera, np.where(np.isfinite(lengths_m), lengths_m, 0.1))
+    ranges_m = [hand.range_m for hand in pose.hands if hand.range_m is not None]
+    # what else was seen is of the picture turned
+    return next((one for one in seen if one.estimated.tolist() == ranges_m), seen[0])
 
 
 def likely(found: Ranges, config: PlacementConfig) -> np.ndarray:

@@ -17,6 +17,7 @@ from scripts.fit_range_errors import (
     usual_ranges,
     write_to_card,
 )
+from tests.inference.test_second_look import SAMPLE, Two
 from tests.oracles import Oracle, drawn_hands, make_card
 
 from twohands.errors import InputError
@@ -24,6 +25,7 @@ from twohands.inference.decision import PlacementConfig
 from twohands.inference.placement import range_sigma
 
 PRIOR = PlacementConfig()
+ALWAYS = {"second": {"second": 1.0}}
 
 
 def pictures(count, errors, rng):
@@ -85,6 +87,15 @@ def test_what_is_found_in_a_picture_stands_beside_what_is_true(present):
     np.testing.assert_allclose(found.estimated, found.true, rtol=2e-2)
     assert found.misfit.shape == (sum(present),) and (found.misfit < 0.05).all()
     assert found.span.shape == (sum(present),) and (found.span > 0.1).all()
+
+
+def test_what_tells_of_a_range_is_of_the_pair_whose_range_it_is():
+    """Named case: of a hand whose joints are the second pair's, its scores were fitted, and the first one's used."""
+    two = Two(scores=(0.5, 0.9), decision=ALWAYS)
+    pose, found = two.estimate(), ranges_in(two.estimator, SAMPLE)
+    assert [hand.pair for hand in pose.hands] == [1, 1]
+    np.testing.assert_allclose(found.scores.mean(axis=-1), [0.5, 0.9])
+    np.testing.assert_allclose(found.estimated, [hand.range_m for hand in pose.hands])
 
 
 def test_the_size_of_errors_is_found_again_and_how_it_goes_with_score_and_misfit():

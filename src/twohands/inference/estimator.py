@@ -24,7 +24,7 @@ from twohands.inference.expected import Expected
 from twohands.inference.following import followed_hands, going_on, with_sight
 from twohands.inference.keypoints import NO_KEYPOINTS, given_heatmaps
 from twohands.inference.palm import no_palms
-from twohands.inference.placement import PlacedHands, hand_poses, refine
+from twohands.inference.placement import PlacedHands, hand_poses
 from twohands.inference.segmenter import HandMaps
 from twohands.inference.stages import NO_TRUTH, Stages, StageTruth, check_picture
 from twohands.inference.trail import Trail
@@ -223,8 +223,7 @@ class HandEstimator:
             hands = PlacedHands(canonical, keypoints, placed)
             known = going_on(found, finder.expected)
             ranged = self._ranged(finder, found, hands, lengths_m).scaled(known[:, 0])
-            config, camera = self.card.placement, finder.camera
-            canonical, placed, sigmas_m = refine(config, hands, ranged, known[:, 1], camera, lengths_m)
+            canonical, placed, sigmas_m = self.stages.refine(hands, ranged, known[:, 1], finder.camera, lengths_m)
             shares = np.column_stack([ranged.placed.radius_m / hands.placed.radius_m, sigmas_m / placed.radius_m])
         poses = hand_poses(finder.in_picture(boxes), keypoints, canonical, placed, found.side_logits, sigmas_m)
         return poses if shares is None else with_sight(poses, found, shares)

@@ -126,20 +126,22 @@ def refine(
         Canonical joints (B, 21, 3), the hands in metres, and the standard deviations of their ranges (B,) in metres,
         NaN where they are not known.
     """
-    scores, pulled = ranged.keypoints.joint_scores, _pulled(config, ranged, camera, lengths_m)
+    scores, canonical = ranged.keypoints.joint_scores, pulled(config, ranged, camera, lengths_m)
     radius_m = posterior_ranges(ranged.placed.radius_m, scores, config)
-    misfit = palm_misfit(pulled, ranged.keypoints.joints_px, camera, lengths_m, ranged.placed)
-    sigma = range_sigma(scores, misfit, palm_span(pulled), config)
+    misfit = palm_misfit(canonical, ranged.keypoints.joints_px, camera, lengths_m, ranged.placed)
+    sigma = range_sigma(scores, misfit, palm_span(canonical), config)
     sigma = np.where(np.isfinite(sigmas), sigmas, sigma)
     placed = replace(hands.placed, radius_m=ranged.placed.radius_m, valid=ranged.placed.valid)
-    canonical = pulled if hands is ranged else _pulled(config, hands._replace(placed=placed), camera, lengths_m)
+    if hands is not ranged:
+        canonical = pulled(config, hands._replace(placed=placed), camera, lengths_m)
     joints_m = camera_from_canonical(canonical, lengths_m, radius_m, placed.theta, placed.phi)
     finite = np.isfinite(joints_m).all(axis=(1, 2))
     found = replace(placed, joints_m=joints_m, radius_m=radius_m, valid=placed.valid & finite)
     return canonical, found, sigma * radius_m
 
 
-def _pulled(config: PlacementConfig, hands: PlacedHands, camera: PinholeCamera, lengths_m: np.ndarray) -> np.ndarray:
+def pulled(config: PlacementConfig, hands: PlacedHands, camera: PinholeCamera, lengths_m: np.ndarray) -> np.ndarray:
+    """Canonical joints (B, 21, 3), pulled to the lines of sight on which they are seen; arguments as of `refine`."""
     share = config.ray_share * hands.keypoints.joint_scores
     return pull_to_rays(hands.canonical, hands.keypoints.joints_px, camera, lengths_m, hands.placed, share)
 

@@ -82,6 +82,7 @@ class Stages:
         read_out: heatmaps, crops -> joints (B, 21, 2) in pixels and scores (B, 21), `keypoints.read_out`.
         lift: keypoints -> canonical joints (B, 21, 3), `placement.lift`.
         place: canonical, joints_px, joint_scores, camera, lengths_m -> `placement.place`.
+        refine: hands, the same by those whose ranges count, sigmas, camera, lengths_m -> `placement.refine`.
         check: image, joints (B, 21, 2)[, palms] -> `hand_check.checked`; None without such a network.
         body: image[, where to look first] -> `body.seen_body`; None without such networks.
         palms: image -> `palm.seen_palms`; None without such a network.
@@ -97,6 +98,7 @@ class Stages:
     read_out: Callable[[np.ndarray, list[HandCrop]], tuple[np.ndarray, np.ndarray]]
     lift: Callable[[Keypoints], np.ndarray]
     place: Callable[[np.ndarray, np.ndarray, np.ndarray, PinholeCamera, np.ndarray], GlobalPose]
+    refine: Callable[..., tuple[np.ndarray, GlobalPose, np.ndarray]]
     card: WeightsCard
     check: Callable[..., np.ndarray] | None = None
     body: Callable[[np.ndarray, np.ndarray | None], Body | None] | None = None
@@ -122,6 +124,7 @@ class Stages:
             read_out=partial(keypoints.read_out, card),
             lift=partial(placement.lift, networks.pose_net_3d),
             place=partial(placement.place, card.placement),
+            refine=partial(placement.refine, card.placement),
             card=card,
             check=check,
             body=body,
