@@ -641,8 +641,8 @@ def _picture(row: dict[str, np.ndarray]) -> Seen:
 
 
 def _body_row(body: Body | None) -> np.ndarray:
-    """(22,) a body as the cache holds it; NaN for none."""
-    return np.full(22, np.nan) if body is None else np.concatenate([np.ravel(part) for part in body])
+    """(22,) a body as the cache holds it, without its sizes, which decide nothing; NaN for none."""
+    return np.full(22, np.nan) if body is None else np.concatenate([np.ravel(part) for part in body[:5]])
 
 
 def _body(row: np.ndarray) -> Body | None:
@@ -651,7 +651,7 @@ def _body(row: np.ndarray) -> Body | None:
         return None
     palms_px, boxes_px, visible, around_px, along_px = np.split(row, [4, 12, 14, 18])
     points = around_px.reshape(2, 2), along_px.reshape(2, 2)
-    return Body(palms_px.reshape(2, 2), boxes_px.reshape(2, 4), visible, *points)
+    return Body(palms_px.reshape(2, 2), boxes_px.reshape(2, 4), visible, *points, *np.full((2, 3), np.nan))
 
 
 def _or_nan(values: np.ndarray | None) -> np.ndarray:

@@ -1,5 +1,6 @@
 """Fits the `placement` of a preset's card to labelled pictures that it was not trained on: which ranges are usual, what
-is wrong with estimated ones, `range_errors`, and what is said of that, `range_sigma`.
+is wrong with estimated ones, `range_errors`, how far hands are by their body, `body_weights`, and what is said of the
+errors, `range_sigma`.
 
     python scripts/fit_range_errors.py src/twohands/weights/fast --data SET SET_2 --backgrounds PHOTOS [--write]
 
@@ -20,11 +21,13 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from twohands.datasets.opening import open_dataset
 from twohands.errors import InputError, TwoHandsError
 from twohands.files import appearing
-from twohands.inference.decision import PlacementConfig
+from twohands.geometry.body import Body
+from twohands.inference.decision import BODY_TERMS, PlacementConfig
 from twohands.inference.estimator import HandEstimator
 from twohands.inference.placement import (
     PlacedHands,
@@ -39,6 +42,8 @@ from twohands.types import HandSample
 
 SMOOTH: Final = 0.03
 """Error of a range's logarithm up to which its square counts, beyond which its size does: few hands are far off."""
+BODY_SMOOTH: Final = 0.08
+"""The same of what a body says."""
 STEPS: Final = 9
 """Values of each number that are tried at a time."""
 ROUNDS: Final = 4
@@ -51,19 +56,24 @@ EVENNESS: Final = 10.0
 POWERS: Final = np.linspace(0, 1.5, 16)
 SPAN_POWERS: Final = np.linspace(-3, 3, 13)
 CARD: Final = "card.json"
-FITTED: Final = ("usual_range_m", "usual_spread", "correlation", "range_errors", "range_sigma")
+SPREADS: Final = np.geomspace(0.05, 1.0, 25)
+CORRELATIONS: Final = np.linspace(0, 0.95, 20)
+OF_BODIES: Final = ("body_weights", "body_spread", "body_correlation")
+FITTED: Final = ("usual_range_m", "usual_spread", "correlation", "range_errors", "range_sigma", *OF_BODIES)
 """Of `PlacementConfig`."""
 
 
 class Ranges(NamedTuple):
     """Of the hands found in one picture, one or both, each (B,) but the scores: estimated metres, joints' scores
-    (B, 21), true metres, NaN where there is no such hand, and the palm's misfit and span in hand lengths."""
+    (B, 21), true metres, NaN where there is no such hand, the palm's misfit and span in hand lengths, and what the body
+    has them go with, terms and the rest (B, 6) of `Body.distance_terms`, NaN for nobody's hands."""
 
     estimated: np.ndarray
     scores: np.ndarray
     true: np.ndarray
     misfit: np.ndarray
     span: np.ndarray
+    body: np.ndarray
 
 
 class Off(NamedTuple):
@@ -88,20 +98,24 @@ def main() -> int:
     options = parser.parse_args()
     try:
         shipped = HandEstimator.from_preset(options.preset)
-        config = dataclasses.replace(shipped.card.placement, range_errors=None)
+        every_body = (0.0,) * BODY_TERMS
+        config = dataclasses.replace(shipped.card.placement, range_errors=None, body_weights=every_body)
         estimator = HandEstimator(shipped.networks, dataclasses.replace(shipped.card, placement=config))
         sets = [
             found_in(estimator, itertools.islice(samples_of(folder, options.backgrounds), options.count))
             for folder in options.data
         ]
-        config = shipped.card.placement if options.sigma_alone else fitted_ranges(sets)
-        off = [said_errors(found, config) for found in sets]
-        config = dataclasses.replace(config, range_sigma=fitted_sigma(off))
+        alone = dataclasses.replace(shipped.card.placement, body_weights=())
+        alone = alone if options.sigma_alone else fitted_ranges(sets)
+        off = [said_errors(found, alone) for found in sets]
+        alone = dataclasses.replace(alone, range_sigma=fitted_sigma(off))
+        config = fitted_bodies([one for found in sets for one in found], alone)
         said = {name: np.round(getattr(config, name), 3).tolist() for name in FITTED}
         print(json.dumps(said))
         for folder, found, one in zip(options.data, sets, off, strict=True):
-            print(f"{folder.name}: {len(one.errors)} hands, {share_within(one, config):.3f} within one sigma")
-            print_errors(found, config)
+            print(f"{folder.name}: {len(one.errors)} hands, {share_within(one, alone):.3f} within one sigma")
+            print_errors(found, alone)
+            print_errors([of for of in found if np.isfinite(of.body).all()], config, ", those of a body")
         if options.write:
             write_to_card(options.preset / CARD, said)
     except TwoHandsError as error:
@@ -140,17 +154,28 @@ def ranges_in(estimator: HandEstimator, sample: HandSample) -> Ranges:
     """What the pipeline finds in a picture, by the pose networks whose ranges count, and what is true."""
     lengths_m = np.linalg.norm(sample.joints_m[:, ROOT] - sample.joints_m[:, WRIST], axis=-1)
     stages, true = estimator.stages, np.where(sample.present, np.linalg.norm(sample.joints_m[:, ROOT], axis=-1), np.nan)
-    seen = [Ranges(np.zeros(0), np.zeros((0, N_JOINTS)), *np.zeros((3, 0)))]
+    seen = [Ranges(np.zeros(0), np.zeros((0, N_JOINTS)), *np.zeros((3, 0)), np.zeros((0, BODY_TERMS + 1)))]
+    bodies: list[Body | None] = [None]
 
-    def refine(hands: PlacedHands, ranged: PlacedHands, *known: Any) -> Any:
-        canonical = pulled(estimator.card.placement, ranged, *known[1:])
-        misfit = palm_misfit(canonical, ranged.keypoints.joints_px, *known[1:], ranged.placed)
-        found = ranged.placed.radius_m, ranged.keypoints.joint_scores, true[ranged.keypoints.sides]
-        one = Ranges(*found, misfit, palm_span(canonical))
+    def body(*where: Any) -> Body | None:
+        bodies.append(None if stages.body is None else stages.body(*where))
+        return bodies[-1]
+
+    def refine(hands: PlacedHands, ranged: PlacedHands, sigmas: np.ndarray, *known: Any) -> Any:
+        camera, lengths_m, bodies_m = known
+        canonical, sides = pulled(estimator.card.placement, ranged, camera, lengths_m), ranged.keypoints.sides
+        misfit = palm_misfit(canonical, ranged.keypoints.joints_px, camera, lengths_m, ranged.placed)
+        told = np.full((2, BODY_TERMS + 1), np.nan)
+        if bodies[-1] is not None and np.isfinite(bodies_m).all():
+            terms, beside = bodies[-1].distance_terms(camera.fx)
+            told = np.column_stack([terms, [beside, beside]])
+        found = ranged.placed.radius_m, ranged.keypoints.joint_scores, true[sides]
+        one = Ranges(*found, misfit, palm_span(canonical), told[sides])
         seen.append(Ranges(*(part[ranged.placed.valid] for part in one)))
-        return stages.refine(hands, ranged, *known)
+        return stages.refine(hands, ranged, sigmas, *known)
 
-    watched = HandEstimator(estimator.networks, estimator.card, dataclasses.replace(stages, refine=refine))
+    watching = dataclasses.replace(stages, refine=refine, body=body)
+    watched = HandEstimator(estimator.networks, estimator.card, watching)
     pose = watched.estimate(sample.image, sample.camera, np.where(np.isfinite(lengths_m), lengths_m, 0.1))
     ranges_m = [hand.range_m for hand in pose.hands if hand.range_m is not None]
     # what else was seen is of the picture turned
@@ -159,7 +184,10 @@ def ranges_in(estimator: HandEstimator, sample: HandSample) -> Ranges:
 
 def likely(found: Ranges, config: PlacementConfig) -> np.ndarray:
     """(B,) metres: `posterior_ranges`."""
-    return posterior_ranges(found.estimated, found.scores, config)
+    bodies_m = None
+    if config.body_weights:
+        bodies_m = np.exp(found.body[:, :-1] @ np.array(config.body_weights) + found.body[:, -1])
+    return posterior_ranges(found.estimated, found.scores, config, bodies_m)
 
 
 def usual_ranges(sets: Sequence[Sequence[Ranges]]) -> PlacementConfig:
@@ -196,6 +224,27 @@ def fitted(found: Sequence[Ranges], usual: PlacementConfig) -> tuple[float, floa
         best = np.log(min(tried, key=lambda errors: loss(found, dataclasses.replace(usual, range_errors=errors))))
         span /= 3
     return float(np.exp(best[0])), float(np.exp(best[1]))
+
+
+def fitted_bodies(found: Sequence[Ranges], config: PlacementConfig) -> PlacementConfig:
+    """How far hands are by their body, and how surely, where that has the least mean loss; nothing of bodies where no
+    picture shows one.
+    """
+    known = [one for one in found if len(one.body) and np.isfinite(one.body).all() and np.isfinite(one.true).all()]
+    if not known:
+        return config
+    told, true = np.concatenate([one.body for one in known]), np.concatenate([one.true for one in known])
+    terms, beyond = told[:, :-1], np.log(true) - told[:, -1]
+    fit = least_squares(
+        lambda weights: terms @ weights - beyond, np.zeros(BODY_TERMS), loss="soft_l1", f_scale=BODY_SMOOTH
+    )
+    config = dataclasses.replace(config, body_weights=tuple(fit.x.tolist()))
+    tried = [
+        dataclasses.replace(config, body_spread=spread, body_correlation=correlation)
+        for spread in SPREADS.tolist()
+        for correlation in CORRELATIONS.tolist()
+    ]
+    return min(tried, key=lambda each: loss(known, each))
 
 
 def loss(found: Sequence[Ranges], config: PlacementConfig) -> float:
@@ -242,13 +291,15 @@ def share_within(off: Off, config: PlacementConfig) -> float:
     return float((off.errors < said).mean())
 
 
-def print_errors(found: Sequence[Ranges], config: PlacementConfig) -> None:
+def print_errors(found: Sequence[Ranges], config: PlacementConfig, which: str = "") -> None:
     """Errors of ranges as projected, and as they are likely."""
+    if not any(np.isfinite(one.true).any() for one in found):
+        return
     for name, chosen in (("as projected", dataclasses.replace(config, range_errors=None)), ("likely", config)):
         off = np.concatenate([np.abs(likely(one, chosen) - one.true) for one in found])
         off = off[np.isfinite(off)]
         shares = ", ".join(f"{(off < bar).mean():.4f} within {100 * bar:g} cm" for bar in BARS_M)
-        print(f"  {name}: {shares}, mean {100 * off.mean():.2f} cm, median {100 * np.median(off):.2f} cm")
+        print(f"  {name}{which}: {shares}, mean {100 * off.mean():.2f} cm, median {100 * np.median(off):.2f} cm")
 
 
 def write_to_card(path: Path, numbers: dict[str, Any]) -> None:

@@ -226,6 +226,8 @@ class HandPose:
         range_shares: the range as the pose networks place it whose word it is, over that which the joints by themselves
             say, and the standard deviation of the estimate over it (NaN where it is not known); None where nothing is
             known; for the next frame of a video, not exported.
+        body_range_m: how far the hand is by the size of its person's body, metres; None where nobody knows; for the
+            next frame of a video, not exported.
         range_sigma_m: standard deviation of `range_m`, metres: that of the estimate, and of what was assumed; None
             where it is not known.
         scale_source: how the hand length is known: "typed", "board", "distance", "assumed".
@@ -249,6 +251,7 @@ class HandPose:
     pair: int | None = None
     other_px: np.ndarray | None = None
     range_shares: tuple[float, float] | None = None
+    body_range_m: float | None = None
     range_sigma_m: float | None = None
     scale_source: str | None = None
     intrinsics_source: str | None = None

@@ -110,9 +110,38 @@ def test_a_crop_that_is_moved_turned_and_scaled_moves_the_body():
     np.testing.assert_allclose(there.visible, body.visible)
 
 
+def test_sizes_and_depths_of_a_body_by_hand():
+    joints = standing()
+    joints[[2, 5], :2] = (138, 30), (122, 30)  # eyes
+    joints[[9, 10], :2] = (134, 36), (126, 36)  # mouth
+    joints[[9, 10], 2] = 8  # behind them
+    joints[11, 2], joints[WRIST[0], 2] = 80, -12  # the left shoulder is behind, its wrist before the hips
+    body = body_of(joints, np.eye(3))
+    np.testing.assert_allclose(body.sizes_px, [100, 10, np.hypot(100, 40)])
+    np.testing.assert_allclose(body.depths_px, [-12, 0, 40])
+    terms, beside = body.distance_terms(600.0)
+    assert beside == pytest.approx(np.log(6.0))
+    np.testing.assert_allclose(terms[0], [1, np.log(0.1), np.log(np.hypot(100, 40) / 100), -0.02, 40 / 600])
+    np.testing.assert_allclose(terms[1], [*terms[0, :3], 0, 40 / 600])
+
+
+def test_a_picture_enlarged_with_its_camera_shows_the_same_distances():
+    joints = standing()
+    joints[:, 2] = np.linspace(-20, 20, 39)
+    place = np.array([[0, -3.0, 400], [3.0, 0, 40], [0, 0, 1.0]])
+    plain, large = (body_of(joints, one).distance_terms(f) for one, f in ((np.eye(3), 500.0), (place, 1500.0)))
+    for one, other in zip(plain, large, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-12)
+
+
+def test_a_body_of_no_size_says_nothing_infinite():
+    terms, beside = body_of(np.zeros((39, 5)), np.eye(3)).distance_terms(500.0)
+    assert np.isfinite(terms).all() and np.isfinite(beside)
+
+
 def test_which_hand_a_box_shows():
     palms_px = np.array([[100.0, 50], [40, 50]])
-    body = Body(palms_px, np.zeros((2, 4)), np.array([0.9, 0.5]), *np.zeros((2, 2, 2)))
+    body = Body(palms_px, np.zeros((2, 4)), np.array([0.9, 0.5]), *np.zeros((2, 2, 2)), *np.zeros((2, 3)))
     near = body.near(np.array([70.0, 40, 130, 60]))  # its middle is the left palm; the right one is a side away
     np.testing.assert_allclose(near, [0.9, 0.5 * np.exp(-1 / 0.36)])
     assert np.isfinite(body.near(np.full(4, 100.0))).all()  # of no size

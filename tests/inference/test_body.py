@@ -3,18 +3,23 @@
 import dataclasses
 import hashlib
 import json
+from functools import partial
 
 import numpy as np
 import pytest
 from tests.geometry.test_body import ANCHORS, standing
+from tests.inference.test_following import surely
 from tests.oracles import Oracle, drawn_hands, hand_masks, make_card, restaged
 
 from twohands.geometry.body import Body, body_square
 from twohands.geometry.boxes import apply_homography
 from twohands.geometry.segmentation import HandBoxes
 from twohands.inference.body import BodyNetworks, BodySight, guessed_masks, seen_body, with_body
+from twohands.inference.decision import BODY_TERMS
 from twohands.inference.detection import Detection, HandFinder
 from twohands.inference.engine import load_networks
+from twohands.inference.estimator import HandEstimator
+from twohands.inference.placement import refine
 from twohands.inference.stages import StageTruth
 from twohands.inference.trail import Trail
 from twohands.inference.weights import BODY_NETWORKS, network_files, preset_folder, read_card
@@ -27,6 +32,8 @@ BODY = Body(
     np.array([0.9, 0.9]),
     np.array([[130.0, 100], [130, 20]]),
     np.array([[10.0, 0], [0, 10]]),
+    np.array([40.0, 8.0, 60.0]),
+    np.array([-5.0, -10.0, 2.0]),
 )
 NOTHING = np.full(4, NO)
 
@@ -176,6 +183,44 @@ def test_a_body_is_looked_for_where_it_was():
     np.testing.assert_array_equal(first.around_px, BODY.around_px)
     estimator.estimate(sample.image, sample.camera, previous=Trail.of(first), index=1)
     assert asked[0] is None and asked[1] is first.around_px
+
+
+def at_a_wrist(sample, side=0) -> Body:
+    """A body with that wrist at that hand, and the other one far away, as large as one of 3 m is in the sample."""
+    palms_px = np.full((2, 2), -900.0)
+    palms_px[side] = sample.joints_px[side].mean(axis=0)
+    return BODY._replace(palms_px=palms_px, sizes_px=np.full(3, sample.camera.fx / 3), depths_px=np.zeros(3))
+
+
+def test_uncertain_hands_are_as_far_as_the_body_whose_they_are():
+    """Also in the next frames, where nobody asks for a body, until somebody asks and there is none."""
+    estimator, sample = known_hands()
+    body, asked = at_a_wrist(sample), []
+    placement = dataclasses.replace(
+        estimator.card.placement, range_errors=(1e3, 1e3), body_weights=(0.0,) * BODY_TERMS, body_spread=1e-3
+    )
+    card = dataclasses.replace(estimator.card, placement=placement)
+    seen = {"body": lambda *_: asked.append(1) or body, "refine": partial(refine, placement), "card": card}
+    estimator = HandEstimator(estimator.networks, card, dataclasses.replace(estimator.stages, **seen))
+    first = pose = estimator.estimate(sample.image, sample.camera)
+    for frame in range(1, 4):
+        np.testing.assert_allclose([hand.range_m for hand in pose.hands], 3.0, rtol=1e-5)
+        trail = Trail((pose,), pose, may_rest=frame < 3, sides=surely(first))
+        pose = estimator.estimate(sample.image, sample.camera, previous=trail, index=frame)
+        assert pose.followed == (frame < 3) and len(asked) == 1
+    body = None
+    pose = estimator.estimate(sample.image, sample.camera, previous=Trail.of(pose), index=4)
+    assert len(asked) == 2 and [hand.body_range_m for hand in pose.hands] == [None, None]
+
+
+def test_a_body_without_a_hand_at_a_wrist_says_nothing_of_hands():
+    estimator, sample = known_hands()
+    placement = dataclasses.replace(estimator.card.placement, body_weights=(0.0,) * BODY_TERMS)
+    card = dataclasses.replace(estimator.card, placement=placement)
+    for body, known in ((at_a_wrist(sample), True), (at_a_wrist(sample)._replace(visible=np.full(2, 0.4)), False)):
+        stages = dataclasses.replace(estimator.stages, body=lambda *_, body=body: body)
+        pose = HandEstimator(estimator.networks, card, stages).estimate(sample.image, sample.camera)
+        assert (pose.left.body_range_m is not None) == (pose.right.body_range_m is not None) == known
 
 
 def test_with_ground_truth_no_body_is_looked_for():

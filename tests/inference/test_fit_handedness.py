@@ -165,7 +165,7 @@ def test_bodies_are_fitted_beside_what_there_is():
     for one in pictures:
         palms_px = np.array([[40.0, 30], [150, 30]] if one.present[LEFT] else [[150.0, 30], [40, 30]])
         palms_px = palms_px if one.present.any() else palms_px + 500
-        body = Body(palms_px, np.zeros((2, 4)), np.array([0.9, 0.9]), *np.zeros((2, 2, 2)))
+        body = Body(palms_px, np.zeros((2, 4)), np.array([0.9, 0.9]), *np.zeros((2, 2, 2)), *np.zeros((2, 3)))
         seen.append(one._replace(evidence=dataclasses.replace(one.evidence, body=body)))
     fitted = fit_only("bodies", [*seen, *pictures], config)
     assert set(FEATURES["bodies"]) == {name for name in fitted.first if fitted.first[name] != config.first[name]} | {
@@ -232,7 +232,7 @@ def test_pictures_keep_what_came_before_them_when_some_are_left_out():
 def test_evidence_is_kept_in_a_file_and_that_of_other_weights_refused(tmp_path):
     rng = np.random.default_rng(0)
     pictures = [judged_picture(rng, scene) for scene in range(5)]
-    body = Body(*(rng.uniform(0, 100, shape) for shape in ((2, 2), (2, 4), 2, (2, 2), (2, 2))))
+    body = Body(*(rng.uniform(0, 100, shape) for shape in ((2, 2), (2, 4), 2, (2, 2), (2, 2), 3, 3)))
     pictures[1] = pictures[1]._replace(evidence=dataclasses.replace(pictures[1].evidence, body=body))
     path = tmp_path / "evidence.npz"
     save(path, pictures, "fast@1")

@@ -9,6 +9,7 @@ from scripts.fit_range_errors import (
     Off,
     Ranges,
     fitted,
+    fitted_bodies,
     fitted_sigma,
     loss,
     main,
@@ -17,14 +18,17 @@ from scripts.fit_range_errors import (
     usual_ranges,
     write_to_card,
 )
+from tests.inference.test_body import at_a_wrist, known_hands
 from tests.inference.test_second_look import SAMPLE, Two
 from tests.oracles import Oracle, drawn_hands, make_card
 
 from twohands.errors import InputError
 from twohands.inference.decision import PlacementConfig
+from twohands.inference.estimator import HandEstimator
 from twohands.inference.placement import range_sigma
 
 PRIOR = PlacementConfig()
+NOBODY = np.full((2, 6), np.nan)
 ALWAYS = {"second": {"second": 1.0}}
 
 
@@ -35,7 +39,7 @@ def pictures(count, errors, rng):
     mean = rng.uniform(0.4, 1.0, (count, 2))
     error = errors[0] * (errors[1] / errors[0]) ** ((1 - mean) / (1 - PRIOR.lower_score))
     estimated = true * np.exp(error * rng.normal(size=true.shape))
-    usual = np.full(2, PRIOR.sigma_misfit), np.full(2, PRIOR.sigma_span)
+    usual = np.full(2, PRIOR.sigma_misfit), np.full(2, PRIOR.sigma_span), NOBODY
     return [Ranges(e, np.tile(m[:, None], (1, 21)), t, *usual) for e, m, t in zip(estimated, mean, true, strict=True)]
 
 
@@ -63,7 +67,9 @@ def test_usual_ranges_are_found_again_and_a_set_counts_as_much_as_a_larger_one()
 
 
 def test_of_single_hands_the_correlation_is_left_as_it_was():
-    single = Ranges(np.array([0.5]), np.full((1, 21), 0.7), np.array([0.45]), np.full(1, 0.02), np.full(1, 0.4))
+    single = Ranges(
+        np.array([0.5]), np.full((1, 21), 0.7), np.array([0.45]), np.full(1, 0.02), np.full(1, 0.4), NOBODY[:1]
+    )
     assert usual_ranges([[single], []]).correlation == PRIOR.correlation
 
 
@@ -74,7 +80,7 @@ def scaled(one: Ranges, factor: float) -> Ranges:
 
 def test_a_hand_that_is_not_there_has_no_say():
     one = Ranges(
-        np.array([0.5, 0.9]), np.full((2, 21), 0.7), np.array([0.45, np.nan]), np.full(2, 0.02), np.full(2, 0.4)
+        np.array([0.5, 0.9]), np.full((2, 21), 0.7), np.array([0.45, np.nan]), np.full(2, 0.02), np.full(2, 0.4), NOBODY
     )
     assert np.isfinite(loss([one], PlacementConfig(range_errors=(0.05, 0.1))))
 
@@ -96,6 +102,37 @@ def test_what_tells_of_a_range_is_of_the_pair_whose_range_it_is():
     assert [hand.pair for hand in pose.hands] == [1, 1]
     np.testing.assert_allclose(found.scores.mean(axis=-1), [0.5, 0.9])
     np.testing.assert_allclose(found.estimated, [hand.range_m for hand in pose.hands])
+
+
+def test_how_far_hands_are_by_their_body_is_found_again():
+    """600 people, as far as their bodies' sizes say but for what both hands have in common and each by itself."""
+    rng, weights = np.random.default_rng(8), np.array([-2.0, -0.7, -0.2, 0.3, -0.8])
+    people = []
+    for one in pictures(600, (0.1, 0.2), rng):
+        off = rng.multivariate_normal(np.zeros(2), 0.15**2 * np.array([[1, 0.6], [0.6, 1]]))
+        terms = np.column_stack([np.ones(2), rng.normal(0, 0.3, (2, 4))])
+        beside = np.log(one.true) - terms @ weights - off
+        people.append(one._replace(body=np.column_stack([terms, beside])))
+    config = fitted_bodies(people, dataclasses.replace(PRIOR, range_errors=(0.1, 0.2)))
+    np.testing.assert_allclose(config.body_weights, weights, atol=0.05)
+    assert config.body_spread == pytest.approx(0.15, rel=0.3)
+    assert config.body_correlation == pytest.approx(0.6, abs=0.25)
+    assert loss(people, config) < 0.9 * loss(people, dataclasses.replace(config, body_weights=()))
+    assert fitted_bodies(pictures(3, (0.1, 0.2), rng), PRIOR) == PRIOR, "where there is nobody"
+
+
+def test_what_a_body_says_stands_beside_its_hands():
+    estimator, sample = known_hands()
+    placement = dataclasses.replace(estimator.card.placement, body_weights=(0.0,) * 5)
+    card, body = dataclasses.replace(estimator.card, placement=placement), at_a_wrist(sample)
+    for seen in (body, None):
+        stages = dataclasses.replace(estimator.stages, body=lambda *_, seen=seen: seen)
+        found = ranges_in(HandEstimator(estimator.networks, card, stages), sample)
+        if seen is None:
+            assert np.isnan(found.body).all() and found.body.shape == (2, 6)
+        else:
+            terms, beside = body.distance_terms(sample.camera.fx)
+            np.testing.assert_allclose(found.body, np.column_stack([terms, [beside] * 2]))
 
 
 def test_the_size_of_errors_is_found_again_and_how_it_goes_with_score_and_misfit():

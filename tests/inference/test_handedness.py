@@ -51,7 +51,9 @@ def random_evidence(rng, *, merged: bool, alone: bool) -> Evidence:
     together = (rng.normal(0, 4, 2), rng.uniform(0.5, 1, 2)) if merged else (None, None)
     before = Before(boxes_px[::-1] + rng.normal(0, 3, (2, 4)), np.array([rng.normal(), NO]))
     joints = np.where(np.isnan(pose), NO, 0.9 * pose**2 / (1 + pose**2))
-    body = Body(rng.uniform(0, 100, (2, 2)), np.zeros((2, 4)), rng.uniform(0, 1, 2), *np.zeros((2, 2, 2)))
+    body = Body(
+        rng.uniform(0, 100, (2, 2)), np.zeros((2, 4)), rng.uniform(0, 1, 2), *np.zeros((2, 2, 2)), *np.zeros((2, 3))
+    )
     check, palm = rng.normal(0, 4, (3, 2)), rng.normal(3, 2, (3, 3))
     said = check[:2], check[2], palm, body
     return Evidence(SIZE, boxes_px, maps, pose, joints, *together, rng.uniform(0, 1.5), before, *said)
@@ -148,7 +150,7 @@ def test_features_of_a_hand_by_hand():
     boxes_px = np.array([[20.0, 10, 60, 50], [NO] * 4])
     before = Before(np.array([[20.0, 10, 60, 30], [200.0, 0, 210, 9]]), np.array([2.0, 9.0]))
     palms_px = np.array([[40.0, 30], [40, 54]])  # in the middle of the box, and a share of .6 of its side beside it
-    body = Body(palms_px, np.zeros((2, 4)), np.array([0.5, 0.9]), *np.zeros((2, 2, 2)))
+    body = Body(palms_px, np.zeros((2, 4)), np.array([0.5, 0.9]), *np.zeros((2, 2, 2)), *np.zeros((2, 3)))
     rows = first_features(Evidence(SIZE, boxes_px, maps, pose, joints, before=before, body=body))
     of = dict(zip(FIRST_FEATURES, rows[ANSWERS.index((0, -1))], strict=True))
     expected = {"hand": 1, "energy": 1, "energy_other": -2, "lead": 3, "lead_other": 6, "share": np.log(5)}

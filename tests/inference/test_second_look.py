@@ -2,6 +2,7 @@
 
 import argparse
 import dataclasses
+from functools import partial
 
 import cv2
 import numpy as np
@@ -20,6 +21,7 @@ from twohands.inference.decision import SECOND_FEATURES, DecisionConfig
 from twohands.inference.detection import Detection, HandFinder
 from twohands.inference.estimator import HandEstimator
 from twohands.inference.keypoints import Keypoints
+from twohands.inference.placement import refine
 from twohands.inference.range_sigma import with_sources
 from twohands.inference.second_look import knows_better, second_features, seen_twice
 from twohands.inference.stages import StageTruth
@@ -273,7 +275,7 @@ def test_the_second_pair_begins_with_the_turn_of_the_bodys_hand_that_is_there():
     masks, boxes = two.estimator.segment(SAMPLE.image)
     palms_px = (boxes.boxes_px[:, :2] + boxes.boxes_px[:, 2:]) / 2
     along_px = SAMPLE.joints_px[:, ROOT] - SAMPLE.joints_px[:, WRIST]
-    body = Body(palms_px, boxes.boxes_px, np.array([0.9, 0.3]), np.zeros((2, 2)), along_px)
+    body = Body(palms_px, boxes.boxes_px, np.array([0.9, 0.3]), np.zeros((2, 2)), along_px, *np.zeros((2, 3)))
     finder = HandFinder(two.estimator.stages, two.estimator.card, SAMPLE.image, SAMPLE.camera, body=lambda: body)
     finder.second_looked(masks, boxes.boxes_px, np.array([LEFT, RIGHT]), None)
     rolls = [crop.roll_deg for crop in two.seen[1]]
@@ -310,7 +312,8 @@ def test_what_is_assumed_does_not_add_up_while_a_hand_is_followed():
     two = Two(shrinks=0.8)
     card = two.estimator.card
     card = dataclasses.replace(card, placement=dataclasses.replace(card.placement, range_sigma=(0.04, 0.7, 0.4, 1.5)))
-    two.estimator = HandEstimator(two.estimator.networks, card, dataclasses.replace(two.estimator.stages, card=card))
+    stages = dataclasses.replace(two.estimator.stages, card=card, refine=partial(refine, card.placement))
+    two.estimator = HandEstimator(two.estimator.networks, card, stages)
     pose, shares = two.estimate(), []
     for _ in range(4):
         shares.append(pose.left.range_sigma_m / pose.left.range_m)

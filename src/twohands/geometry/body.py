@@ -27,9 +27,12 @@ _STRIDES: Final = ((8, 2), (16, 2), (32, 6))
 _AROUND: Final = 1.25
 """Radius of the square around a body over the distance of the two points that describe it."""
 _SHOULDERS, _HIPS, _WRISTS, _THUMBS = (11, 12), (23, 24), (15, 16), (21, 22)
+_EYES, _MOUTH = (2, 5), (9, 10)
 _KNUCKLES: Final = ((17, 19), (18, 20))
 """Of little and first finger."""
 _CENTRE, _END = 33, 34
+_ENDS: Final = (((11, 11), (12, 12)), (_EYES, _MOUTH), (_SHOULDERS, _HIPS))
+"""Pairs of joints, in whose middles lie the ends of what is told of a body's size."""
 _PALM_SHARE: Final = 1.3
 """From the wrist to the middle of the hand's box, over the distance of the knuckles from the wrist."""
 _HAND_SPANS, _HAND_TORSOS = 2.4, 0.47
@@ -46,6 +49,8 @@ class Body(NamedTuple):
         visible: (2,) 0..1, how likely the wrists are in the picture, and not hidden.
         around_px: (2, 2) middle of the body and a point at its end: where to look in a clip's next frame.
         along_px: (2, 2) from the wrists to these knuckles.
+        sizes_px: (3,) from shoulder to shoulder, from the eyes to the mouth, from the shoulders to the hips; in space.
+        depths_px: (3,) how far behind the hips the LEFT wrist, the RIGHT one and the shoulders are.
     """
 
     palms_px: NDArray[np.float64]
@@ -53,6 +58,20 @@ class Body(NamedTuple):
     visible: NDArray[np.float64]
     around_px: NDArray[np.float64]
     along_px: NDArray[np.float64]
+    sizes_px: NDArray[np.float64]
+    depths_px: NDArray[np.float64]
+
+    def distance_terms(self, focal_px: float) -> tuple[NDArray[np.float64], float]:
+        """What the logarithms of the hands' distances in metres go with, terms (2, 5) of LEFT and RIGHT, and what they
+        are more than a weighted sum of these.
+
+        Of a picture that is enlarged, focal length and all, both stay the same; a person twice as far is half as
+        large.
+        """
+        shoulders, *others = np.log(np.maximum(self.sizes_px, 1.0))
+        ratios = np.tile([1.0, *(np.array(others) - shoulders)], (2, 1))
+        behind = np.column_stack([self.depths_px[:2], np.full(2, self.depths_px[2])]) / focal_px
+        return np.concatenate([ratios, behind], axis=1), math.log(focal_px) - float(shoulders)
 
     def near(self, box_px: NDArray[np.float64]) -> NDArray[np.float64]:
         """(2,) how likely the LEFT and the RIGHT hand are what a box (4,) shows: whether their wrist is visible, less
@@ -106,6 +125,8 @@ def body_of(joints: NDArray[np.float64], image_from_crop: NDArray[np.float64]) -
         image_from_crop: (3, 3).
     """
     at_px = np.asarray(apply_homography(image_from_crop, joints[:, :2]), np.float64)
+    depths_px = joints[:, 2] * math.sqrt(abs(np.linalg.det(image_from_crop[:2, :2])))
+    in_space = np.column_stack([at_px, depths_px])
     chances = probability(joints[list(_WRISTS), 3:])
     torso_px = np.linalg.norm(at_px[list(_SHOULDERS)].mean(axis=0) - at_px[list(_HIPS)].mean(axis=0))
     (palms_px, along_px), boxes_px = np.zeros((2, 2, 2)), np.zeros((2, 4))
@@ -118,4 +139,7 @@ def body_of(joints: NDArray[np.float64], image_from_crop: NDArray[np.float64]) -
         middle = wrist + _PALM_SHARE * along_px[side]
         half = math.sqrt(max(_HAND_SPANS * span_px * _HAND_TORSOS * torso_px, 1.0)) / 2
         boxes_px[side] = [*(middle - half), *(middle + half)]
-    return Body(palms_px, boxes_px, chances.min(axis=1), at_px[[_CENTRE, _END]], along_px)
+    ends = np.array([[in_space[list(pair)].mean(axis=0) for pair in pairs] for pairs in _ENDS])
+    sizes_px = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    behind_px = np.array([*depths_px[list(_WRISTS)], depths_px[list(_SHOULDERS)].mean()])
+    return Body(palms_px, boxes_px, chances.min(axis=1), at_px[[_CENTRE, _END]], along_px, sizes_px, behind_px)

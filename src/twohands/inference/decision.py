@@ -177,6 +177,10 @@ class DecisionConfig:
                 raise CheckpointError(f"card: decision.{name} must hold finite weights")
 
 
+BODY_TERMS: Final = 5
+"""Of `geometry.body.Body.distance_terms`."""
+
+
 @dataclass(frozen=True, slots=True)
 class PlacementConfig:
     """Where the hands are: `inference.placement`."""
@@ -207,6 +211,13 @@ class PlacementConfig:
     """Standard deviation of the logarithm of the range, over these hands."""
     correlation: float = 0.79
     """Of the logarithms of both ranges of a picture."""
+    body_weights: tuple[float, ...] = ()
+    """Of `Body.distance_terms`: how far hands are by the size of the person whose they are (`placement.body_ranges`);
+    none: bodies say nothing of it."""
+    body_spread: float = 0.2
+    """Standard deviation of the logarithm of a range beside what the body makes likely."""
+    body_correlation: float = 0.7
+    """Of both hands of a body."""
     range_sigma: tuple[float, float, float, float] | None = None
     """How far the likely range may be off, standard deviation as a share, of a hand whose joints have the mean score
     `sigma_score` and whose palm is seen `sigma_misfit` hand lengths from where the pose has it and as wide as
@@ -223,6 +234,10 @@ class PlacementConfig:
         errors = self.range_errors
         if errors is not None and not (len(errors) == 2 and all(0 < error < math.inf for error in errors)):
             raise CheckpointError(f"card: placement.range_errors must be two numbers larger than 0, got {list(errors)}")
+        if len(self.body_weights) not in (0, BODY_TERMS) or not all(map(math.isfinite, self.body_weights)):
+            raise CheckpointError(f"card: placement.body_weights must be {BODY_TERMS} numbers, got {self.body_weights}")
+        if not (0 < self.body_spread < math.inf and -1 < self.body_correlation < 1):
+            raise CheckpointError("card: placement.body_spread must be above 0, body_correlation between -1 and 1")
         sigma = self.range_sigma
         if sigma is not None and not (len(sigma) == 4 and sigma[0] > 0 and all(map(math.isfinite, sigma))):
             raise CheckpointError(f"card: placement.range_sigma must be four numbers, the first above 0, got {sigma}")

@@ -12,6 +12,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from twohands.geometry.body import Body
 from twohands.geometry.boxes import box_in_picture, box_iou
 from twohands.geometry.palm import palm_in
 from twohands.geometry.segmentation import HandBoxes, as_one_hand, box_around, box_evidence, probability
@@ -33,6 +34,7 @@ from twohands.inference.keypoints import (
     mirror_crop,
 )
 from twohands.inference.looks import HandLooker
+from twohands.inference.placement import body_ranges
 from twohands.inference.second_look import knows_better, seen_twice
 from twohands.inference.segmenter import corrected_masks
 from twohands.inference.side_decision import assign_in_clip, known_assignment
@@ -57,6 +59,8 @@ class Detection(NamedTuple):
         followed: whether HandSegNet rested; the masks are then those of an earlier frame.
         first: the same hands as the first pose networks see them, where the joints of some are the second ones'; None
             where there are none, or the first ones were not asked.
+        bodies_m: (2,) `placement.body_ranges` of the person whose hands these are, NaN where nobody's are; None where
+            nobody asked for a body.
         second_px: (2, 21, 2) joints of LEFT and RIGHT as the second ones see them, NaN where they were not asked; None
             where nobody was.
     """
@@ -68,6 +72,7 @@ class Detection(NamedTuple):
     followed: bool = False
     first: Keypoints | None = None
     second_px: np.ndarray | None = None
+    bodies_m: np.ndarray | None = None
 
 
 class CandidateViews(NamedTuple):
@@ -173,7 +178,8 @@ class HandFinder(HandLooker):
         seen_px = self.joint_boxed(found.boxes, found.keypoints).boxes_px
         assignment, side_logits = assign_in_clip(evidence, seen_px, self.card.decision, known)
         checks = evidence.checks(assignment.source)
-        return self.seen_better(*self._carried_out(found, assignment, views, side_logits, checks))
+        decided = self.seen_better(*self._carried_out(found, assignment, views, side_logits, checks))
+        return decided._replace(bodies_m=self._body_ranges(decided.boxes, evidence.body))
 
     def _confirmed(self, found: Detection, trail: Trail | None) -> Detection | None:
         """The hands of the last frame, of whose sides the clip is sure, where the candidates are these: the picture is
@@ -201,6 +207,18 @@ class HandFinder(HandLooker):
         assigned, changed = self.assigned(found, assignment, views)
         recropped = self.recropped(assigned._replace(side_logits=side_logits), changed)
         return self.rescored(recropped, assignment, checks), assigned.boxes.boxes_px
+
+    def bodies_m(self, found: Detection) -> np.ndarray:
+        """(2,) `Detection.bodies_m`, of the last frame where nobody asked for a body in this one; NaN for nobody's."""
+        if found.bodies_m is not None:
+            return found.bodies_m
+        return np.full(2, np.nan) if self.expected is None else self.expected.bodies_m
+
+    def _body_ranges(self, boxes: HandBoxes, body: Body | None) -> np.ndarray:
+        """(2,) `body_ranges` of a body one of whose wrists is at one of the hands; NaN without one."""
+        hands_px = boxes.boxes_px[boxes.present]
+        own = body is not None and any(body.near(box_px).max() > SURE for box_px in hands_px)
+        return body_ranges(body if own else None, self.camera.fx, self.card.placement)
 
     def _in_place(self, boxes: HandBoxes, expected_px: np.ndarray) -> bool:
         """Whether candidates are where the hand of their side is expected, joints (2, 21, 2), or, where none is, in the

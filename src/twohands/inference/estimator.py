@@ -218,15 +218,16 @@ class HandEstimator:
             if truth.boxes_px is None:
                 boxes = finder.joint_boxed(boxes, keypoints)
         placed = self.stages.place(canonical, keypoints.joints_px, keypoints.joint_scores, finder.camera, lengths_m)
-        sigmas_m = shares = None
+        sigmas_m, shares, bodies_m = None, None, finder.bodies_m(found)
         if estimated:
             hands = PlacedHands(canonical, keypoints, placed)
             known = going_on(found, finder.expected)
             ranged = self._ranged(finder, found, hands, lengths_m).scaled(known[:, 0])
-            canonical, placed, sigmas_m = self.stages.refine(hands, ranged, known[:, 1], finder.camera, lengths_m)
+            others = known[:, 1], finder.camera, lengths_m, bodies_m[sides]
+            canonical, placed, sigmas_m = self.stages.refine(hands, ranged, *others)
             shares = np.column_stack([ranged.placed.radius_m / hands.placed.radius_m, sigmas_m / placed.radius_m])
         poses = hand_poses(finder.in_picture(boxes), keypoints, canonical, placed, found.side_logits, sigmas_m)
-        return poses if shares is None else with_sight(poses, found, shares)
+        return poses if shares is None else with_sight(poses, found, shares, bodies_m)
 
     def _ranged(self, finder: HandFinder, found: Detection, hands: PlacedHands, lengths_m: np.ndarray) -> PlacedHands:
         """Hands as the first pose networks see them, `Detection.first`, where the joints are those of the second ones:

@@ -27,12 +27,14 @@ class Expected(NamedTuple):
         seen_px: (2, 2, 21, 2) where each pair of pose networks would see the hands; NaN where it did not see a hand in
             the last frame, and of all after a pause.
         pairs: (2,) the pair of pose networks whose joints counted in the last frame; the first where none of ours did.
+        bodies_m: (2,) the `HandPose.body_range_m` of the last frame; NaN where they are not known.
         ranges: (2, 2) the `HandPose.range_shares` of the last frame; NaN where they are not known.
     """
 
     seen_px: np.ndarray
     pairs: np.ndarray
     ranges: np.ndarray
+    bodies_m: np.ndarray
 
     @classmethod
     def of(cls, trail: Trail, time: float) -> Expected:
@@ -45,15 +47,16 @@ class Expected(NamedTuple):
         newest = trail.last[-1]
         seen_px, pairs = _seen(newest), _pairs(newest)
         ranges = np.array([hand.range_shares or (np.nan, np.nan) for hand in newest.hands])
+        bodies_m = np.array([np.nan if hand.body_range_m is None else hand.body_range_m for hand in newest.hands])
         if len(trail.last) < 2:
-            return cls(seen_px, pairs, ranges)
+            return cls(seen_px, pairs, ranges, bodies_m)
         step, passed = clock(newest) - clock(trail.last[-2]), time - clock(newest)
         if not 0 < passed <= LONGEST_STEP * step:
-            return cls(np.full_like(seen_px, np.nan), pairs, ranges)
+            return cls(np.full_like(seen_px, np.nan), pairs, ranges, bodies_m)
         moved = (seen_px - _seen(trail.last[-2])).mean(axis=2, keepdims=True)
         for known in (moved[::-1], (joints_of(newest) - joints_of(trail.last[-2])).mean(axis=1, keepdims=True)):
             moved = np.where(np.isfinite(moved), moved, known)  # of a pair that saw one of both frames
-        return cls(seen_px + np.nan_to_num(moved) * (passed / step), pairs, ranges)
+        return cls(seen_px + np.nan_to_num(moved) * (passed / step), pairs, ranges, bodies_m)
 
     @property
     def joints_px(self) -> np.ndarray:

@@ -140,9 +140,12 @@ def going_on(found: Detection, expected: Expected | None) -> np.ndarray:
     return np.where(alone[:, None], expected.ranges[keypoints.sides], np.nan)
 
 
-def with_sight(hands: tuple[HandPose, HandPose], found: Detection, shares: np.ndarray) -> tuple[HandPose, HandPose]:
-    """The hands with what the next frame needs: where the other pair of pose networks saw their joints, and (B, 2)
-    `HandPose.range_shares`; not of a hand that the first ones have just lost, whose word that range is."""
+def with_sight(
+    hands: tuple[HandPose, HandPose], found: Detection, shares: np.ndarray, bodies_m: np.ndarray
+) -> tuple[HandPose, HandPose]:
+    """The hands with what the next frame needs: where the other pair of pose networks saw their joints, (2,)
+    `HandPose.body_range_m`, and (B, 2) `HandPose.range_shares`; not of a hand that the first ones have just lost, whose
+    word that range is."""
     seen = list(hands)
     for row, (side, pair) in enumerate(zip(found.keypoints.sides, found.keypoints.pairs, strict=True)):
         other_px, lost = None, False
@@ -153,5 +156,7 @@ def with_sight(hands: tuple[HandPose, HandPose], found: Detection, shares: np.nd
         asked = other_px is not None and bool(np.isfinite(other_px).all())
         known = bool(np.isfinite(shares[row, 0])) and not lost
         share = (float(shares[row, 0]), float(shares[row, 1])) if known else None
-        seen[side] = replace(hands[side], other_px=other_px if asked else None, range_shares=share)
+        body_m = float(bodies_m[side]) if np.isfinite(bodies_m[side]) else None
+        sight = {"other_px": other_px if asked else None, "range_shares": share, "body_range_m": body_m}
+        seen[side] = replace(hands[side], **sight)
     return seen[0], seen[1]

@@ -3,7 +3,8 @@
 The solve is the paper's (section 4.4) with all joints for one. Two steps after it are ours. Joints are pulled to the
 lines of sight on which they are seen. And uncertain ranges are drawn towards what is usual: an estimated range is in
 error by a share of itself, and the more, the less certain the 2D joints are; hands are mostly within reach of what they
-do and of each other. Measured in docs/history/journal.md, *What is usual, and the other hand*.
+do and of each other, and of the body whose they are, of which its size tells how far it is. Measured in docs/history/
+journal.md, *What is usual, and the other hand* and *As far as the body*.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from twohands.errors import CheckpointError
+from twohands.geometry.body import Body
 from twohands.geometry.camera import unproject
 from twohands.geometry.canonical import camera_from_canonical
 from twohands.geometry.projection import Method, project_global, pull_to_rays, range_weights
@@ -111,6 +113,7 @@ def refine(
     sigmas: np.ndarray,
     camera: PinholeCamera,
     lengths_m: np.ndarray,
+    bodies_m: np.ndarray | None = None,
 ) -> tuple[np.ndarray, GlobalPose, np.ndarray]:
     """The joints pulled to their lines of sight (`pull_to_rays`), and all of it at the likely range
     (`posterior_ranges`).
@@ -121,15 +124,18 @@ def refine(
         ranged: the same hands, as those pose networks see them whose ranges count.
         sigmas: (B,) standard deviations of ranges as shares of them, where they are known from before; NaN elsewhere.
         camera, lengths_m: as for `place`.
+        bodies_m: as for `posterior_ranges`.
 
     Returns:
         Canonical joints (B, 21, 3), the hands in metres, and the standard deviations of their ranges (B,) in metres,
         NaN where they are not known.
     """
     scores, canonical = ranged.keypoints.joint_scores, pulled(config, ranged, camera, lengths_m)
-    radius_m = posterior_ranges(ranged.placed.radius_m, scores, config)
+    radius_m = posterior_ranges(ranged.placed.radius_m, scores, config, bodies_m)
     misfit = palm_misfit(canonical, ranged.keypoints.joints_px, camera, lengths_m, ranged.placed)
     sigma = range_sigma(scores, misfit, palm_span(canonical), config)
+    if bodies_m is not None:  # says as much of how far a hand is as the estimate does, or more
+        sigma = np.where(np.isfinite(bodies_m), 1 / np.hypot(1 / sigma, 1 / config.body_spread), sigma)
     sigma = np.where(np.isfinite(sigmas), sigmas, sigma)
     placed = replace(hands.placed, radius_m=ranged.placed.radius_m, valid=ranged.placed.valid)
     if hands is not ranged:
@@ -194,7 +200,17 @@ def range_sigma(joint_scores: np.ndarray, misfit: np.ndarray, span: np.ndarray, 
     return np.minimum(sigma * (span / config.sigma_span) ** span_power, config.usual_spread)
 
 
-def posterior_ranges(radius_m: np.ndarray, joint_scores: np.ndarray, config: PlacementConfig) -> np.ndarray:
+def body_ranges(body: Body | None, focal_px: float, config: PlacementConfig) -> np.ndarray:
+    """(2,) metres, how far LEFT and RIGHT are by the size of the person's body; NaN without one."""
+    if body is None or not config.body_weights:
+        return np.full(2, np.nan)
+    terms, beside = body.distance_terms(focal_px)
+    return np.exp(terms @ np.array(config.body_weights) + beside)
+
+
+def posterior_ranges(
+    radius_m: np.ndarray, joint_scores: np.ndarray, config: PlacementConfig, bodies_m: np.ndarray | None = None
+) -> np.ndarray:
     """The most likely ranges of the hands of one picture.
 
     The logarithms of the ranges are taken for normal, of known mean and covariance, and so are the errors of their
@@ -205,6 +221,7 @@ def posterior_ranges(radius_m: np.ndarray, joint_scores: np.ndarray, config: Pla
             where unknown.
         joint_scores: (B, 21) 0..1.
         config: what is usual, and the errors of estimates: those at other scores than the two given follow as powers.
+        bodies_m: (B,) `body_ranges` of these hands, which count instead of what is usual where all of them are known.
 
     Returns:
         (B,) metres; NaN where it was; the estimates themselves where the config has no `range_errors`.
@@ -215,8 +232,12 @@ def posterior_ranges(radius_m: np.ndarray, joint_scores: np.ndarray, config: Pla
     highest, lower = config.range_errors
     part = (1 - joint_scores[known].mean(axis=-1)) / (1 - config.lower_score)
     error = highest ** (1 - part) * lower**part
-    covariance = config.usual_spread**2 * np.where(np.eye(len(error)), 1.0, config.correlation)
-    usual = math.log(config.usual_range_m)
+    if bodies_m is not None and np.isfinite(bodies_m[known]).all():
+        usual, spread, correlation = np.log(bodies_m[known]), config.body_spread, config.body_correlation
+    else:
+        usual, spread = np.full(len(error), math.log(config.usual_range_m)), config.usual_spread
+        correlation = config.correlation
+    covariance = spread**2 * np.where(np.eye(len(error)), 1.0, correlation)
     off = np.linalg.solve(covariance + np.diag(error**2), np.log(radius_m[known]) - usual)
     likely = np.array(radius_m, np.float64)
     likely[known] = np.exp(usual + covariance @ off)

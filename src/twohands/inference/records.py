@@ -35,7 +35,7 @@ VERSION = 1
 DECIMALS = 6
 """A micrometre, a millionth of a pixel: below anything a measurement can tell."""
 
-_FOR_VIDEOS = ("side_logit", "pair", "other_px", "range_shares")
+_FOR_VIDEOS = ("side_logit", "pair", "other_px", "range_shares", "body_range_m")
 _KEYS = tuple(f.name for f in fields(HandPose) if f.name not in _FOR_VIDEOS)
 """Of a hand; the others are for the next frame."""
 _NEWER = ("range_sigma_m", "scale_source", "intrinsics_source")
