@@ -134,8 +134,6 @@ def refine(
     radius_m = posterior_ranges(ranged.placed.radius_m, scores, config, bodies_m)
     misfit = palm_misfit(canonical, ranged.keypoints.joints_px, camera, lengths_m, ranged.placed)
     sigma = range_sigma(scores, misfit, palm_span(canonical), config)
-    if bodies_m is not None:  # says as much of how far a hand is as the estimate does, or more
-        sigma = np.where(np.isfinite(bodies_m), 1 / np.hypot(1 / sigma, 1 / config.body_spread), sigma)
     sigma = np.where(np.isfinite(sigmas), sigmas, sigma)
     placed = replace(hands.placed, radius_m=ranged.placed.radius_m, valid=ranged.placed.valid)
     if hands is not ranged:
