@@ -105,11 +105,14 @@ def main() -> int:
             found_in(estimator, itertools.islice(samples_of(folder, options.backgrounds), options.count))
             for folder in options.data
         ]
-        alone = dataclasses.replace(shipped.card.placement, body_weights=())
-        alone = alone if options.sigma_alone else fitted_ranges(sets)
+        as_shipped = shipped.card.placement
+        alone = dataclasses.replace(as_shipped, body_weights=()) if options.sigma_alone else fitted_ranges(sets)
         off = [said_errors(found, alone) for found in sets]
         alone = dataclasses.replace(alone, range_sigma=fitted_sigma(off))
-        config = fitted_bodies([one for found in sets for one in found], alone)
+        if options.sigma_alone:
+            config = dataclasses.replace(as_shipped, range_sigma=alone.range_sigma)
+        else:
+            config = fitted_bodies([one for found in sets for one in found], alone)
         said = {name: np.round(getattr(config, name), 3).tolist() for name in FITTED}
         print(json.dumps(said))
         for folder, found, one in zip(options.data, sets, off, strict=True):
@@ -227,9 +230,7 @@ def fitted(found: Sequence[Ranges], usual: PlacementConfig) -> tuple[float, floa
 
 
 def fitted_bodies(found: Sequence[Ranges], config: PlacementConfig) -> PlacementConfig:
-    """How far hands are by their body, and how surely, where that has the least mean loss; nothing of bodies where no
-    picture shows one.
-    """
+    """How far hands are by their body, and how surely, with the least mean loss; no picture with a body, no weights."""
     known = [one for one in found if len(one.body) and np.isfinite(one.body).all() and np.isfinite(one.true).all()]
     if not known:
         return config
