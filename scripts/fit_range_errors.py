@@ -26,11 +26,12 @@ from scipy.optimize import least_squares
 from twohands.datasets.opening import open_dataset
 from twohands.errors import InputError, TwoHandsError
 from twohands.files import appearing
-from twohands.geometry.body import Body
-from twohands.inference.decision import BODY_TERMS, PlacementConfig
+from twohands.geometry.body import BODY_TERMS, Body
+from twohands.inference.decision import PlacementConfig
 from twohands.inference.estimator import HandEstimator
 from twohands.inference.placement import (
     PlacedHands,
+    distances_of,
     palm_misfit,
     palm_span,
     posterior_ranges,
@@ -187,9 +188,7 @@ def ranges_in(estimator: HandEstimator, sample: HandSample) -> Ranges:
 
 def likely(found: Ranges, config: PlacementConfig) -> np.ndarray:
     """(B,) metres: `posterior_ranges`."""
-    bodies_m = None
-    if config.body_weights:
-        bodies_m = np.exp(found.body[:, :-1] @ np.array(config.body_weights) + found.body[:, -1])
+    bodies_m = distances_of(found.body[:, :-1], found.body[:, -1], config) if config.body_weights else None
     return posterior_ranges(found.estimated, found.scores, config, bodies_m)
 
 

@@ -11,11 +11,10 @@ from tests.geometry.test_body import ANCHORS, standing
 from tests.inference.test_following import surely
 from tests.oracles import Oracle, drawn_hands, hand_masks, make_card, restaged
 
-from twohands.geometry.body import Body, body_square
+from twohands.geometry.body import BODY_TERMS, Body, body_square
 from twohands.geometry.boxes import apply_homography
 from twohands.geometry.segmentation import HandBoxes
 from twohands.inference.body import BodyNetworks, BodySight, guessed_masks, seen_body, with_body
-from twohands.inference.decision import BODY_TERMS
 from twohands.inference.detection import Detection, HandFinder
 from twohands.inference.engine import load_networks
 from twohands.inference.estimator import HandEstimator

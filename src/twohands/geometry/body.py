@@ -22,6 +22,8 @@ JOINTS_SIZE: Final = 256
 """Rows and columns of the crop in which a body's joints are seen."""
 VALUES: Final = 5
 """Numbers that describe a joint: u, v, depth, log-odds that it is not hidden, and that it is in the crop."""
+BODY_TERMS: Final = 5
+"""Of `Body.distance_terms`."""
 _STRIDES: Final = ((8, 2), (16, 2), (32, 6))
 """Pixels from one anchor to the next, and how many lie in one place."""
 _AROUND: Final = 1.25
@@ -62,8 +64,8 @@ class Body(NamedTuple):
     depths_px: NDArray[np.float64]
 
     def distance_terms(self, focal_px: float) -> tuple[NDArray[np.float64], float]:
-        """What the logarithms of the hands' distances in metres go with, terms (2, 5) of LEFT and RIGHT, and what they
-        are more than a weighted sum of these.
+        """What the logarithms of the hands' distances in metres go with, terms (2, `BODY_TERMS`) of LEFT and RIGHT, and
+        what they are more than a weighted sum of these.
 
         Of a picture that is enlarged, focal length and all, both stay the same; a person twice as far is half as
         large.

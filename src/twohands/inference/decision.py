@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final, TypeVar
 
 from twohands.errors import CheckpointError
+from twohands.geometry.body import BODY_TERMS
 from twohands.geometry.projection import FINGER_WEIGHT, FIT_TOLERANCE, LEAST_SCORE, ROOT_WEIGHT
 from twohands.geometry.segmentation import PRESENCE_THRESHOLD, UNCERTAIN_LEAD
 
@@ -175,10 +176,6 @@ class DecisionConfig:
                 raise CheckpointError(f"card: decision.{name} weighs unknown features, {', '.join(unknown)}")
             if not all(map(math.isfinite, weights.values())):
                 raise CheckpointError(f"card: decision.{name} must hold finite weights")
-
-
-BODY_TERMS: Final = 5
-"""Of `geometry.body.Body.distance_terms`."""
 
 
 @dataclass(frozen=True, slots=True)

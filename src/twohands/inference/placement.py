@@ -113,7 +113,7 @@ def refine(
     sigmas: np.ndarray,
     camera: PinholeCamera,
     lengths_m: np.ndarray,
-    bodies_m: np.ndarray | None = None,
+    bodies_m: np.ndarray,
 ) -> tuple[np.ndarray, GlobalPose, np.ndarray]:
     """The joints pulled to their lines of sight (`pull_to_rays`), and all of it at the likely range
     (`posterior_ranges`).
@@ -202,7 +202,11 @@ def body_ranges(body: Body | None, focal_px: float, config: PlacementConfig) -> 
     """(2,) metres, how far LEFT and RIGHT are by the size of the person's body; NaN without one."""
     if body is None or not config.body_weights:
         return np.full(2, np.nan)
-    terms, beside = body.distance_terms(focal_px)
+    return distances_of(*body.distance_terms(focal_px), config)
+
+
+def distances_of(terms: np.ndarray, beside: np.ndarray | float, config: PlacementConfig) -> np.ndarray:
+    """(B,) metres, by what `Body.distance_terms` gives, terms (B, 5), and beside them one number or (B,)."""
     return np.exp(terms @ np.array(config.body_weights) + beside)
 
 
