@@ -26,7 +26,7 @@ from scipy.optimize import least_squares
 from twohands.datasets.opening import open_dataset
 from twohands.errors import InputError, TwoHandsError
 from twohands.files import appearing
-from twohands.geometry.body import BODY_TERMS, Body
+from twohands.geometry.body import BODY_TERMS, USUAL_LENGTH_M, Body
 from twohands.inference.decision import PlacementConfig
 from twohands.inference.estimator import HandEstimator
 from twohands.inference.placement import (
@@ -67,7 +67,7 @@ FITTED: Final = ("usual_range_m", "usual_spread", "correlation", "range_errors",
 class Ranges(NamedTuple):
     """Of the hands found in one picture, one or both, each (B,) but the scores: estimated metres, joints' scores
     (B, 21), true metres, NaN where there is no such hand, the palm's misfit and span in hand lengths, and what the body
-    has them go with, terms and the rest (B, 6) of `Body.distance_terms`, NaN for nobody's hands."""
+    has them go with, terms and the rest (B, `BODY_TERMS` + 1) of `Body.distance_terms`, NaN for nobody's hands."""
 
     estimated: np.ndarray
     scores: np.ndarray
@@ -94,7 +94,7 @@ def main() -> int:
     parser.add_argument("--data", type=Path, nargs="+", required=True, help="folders of labelled pictures or of frames")
     parser.add_argument("--backgrounds", nargs="+", help="of frames; invented ones if not given")
     parser.add_argument("--count", type=int, help="pictures of a set; all if not given")
-    parser.add_argument("--sigma-alone", action="store_true", help="leave all but `range_sigma` as the card has it")
+    parser.add_argument("--only", choices=("sigma", "bodies"), help="leave all else as the card has it")
     parser.add_argument("--write", action="store_true", help="put the numbers on the preset's card")
     options = parser.parse_args()
     try:
@@ -107,10 +107,11 @@ def main() -> int:
             for folder in options.data
         ]
         as_shipped = shipped.card.placement
-        alone = dataclasses.replace(as_shipped, body_weights=()) if options.sigma_alone else fitted_ranges(sets)
+        alone = dataclasses.replace(as_shipped, body_weights=()) if options.only else fitted_ranges(sets)
         off = [said_errors(found, alone) for found in sets]
-        alone = dataclasses.replace(alone, range_sigma=fitted_sigma(off))
-        if options.sigma_alone:
+        if options.only != "bodies":
+            alone = dataclasses.replace(alone, range_sigma=fitted_sigma(off))
+        if options.only == "sigma":
             config = dataclasses.replace(as_shipped, range_sigma=alone.range_sigma)
         else:
             config = fitted_bodies([one for found in sets for one in found], alone)
@@ -157,6 +158,7 @@ def found_in(estimator: HandEstimator, samples: Iterable[HandSample]) -> list[Ra
 def ranges_in(estimator: HandEstimator, sample: HandSample) -> Ranges:
     """What the pipeline finds in a picture, by the pose networks whose ranges count, and what is true."""
     lengths_m = np.linalg.norm(sample.joints_m[:, ROOT] - sample.joints_m[:, WRIST], axis=-1)
+    lengths_m = np.where(np.isfinite(lengths_m), lengths_m, USUAL_LENGTH_M)
     stages, true = estimator.stages, np.where(sample.present, np.linalg.norm(sample.joints_m[:, ROOT], axis=-1), np.nan)
     seen = [Ranges(np.zeros(0), np.zeros((0, N_JOINTS)), *np.zeros((3, 0)), np.zeros((0, BODY_TERMS + 1)))]
     bodies: list[Body | None] = [None]
@@ -166,12 +168,12 @@ def ranges_in(estimator: HandEstimator, sample: HandSample) -> Ranges:
         return bodies[-1]
 
     def refine(hands: PlacedHands, ranged: PlacedHands, sigmas: np.ndarray, *known: Any) -> Any:
-        camera, lengths_m, bodies_m = known
-        canonical, sides = pulled(estimator.card.placement, ranged, camera, lengths_m), ranged.keypoints.sides
-        misfit = palm_misfit(canonical, ranged.keypoints.joints_px, camera, lengths_m, ranged.placed)
+        camera, of_rows_m, bodies_m = known
+        canonical, sides = pulled(estimator.card.placement, ranged, camera, of_rows_m), ranged.keypoints.sides
+        misfit = palm_misfit(canonical, ranged.keypoints.joints_px, camera, of_rows_m, ranged.placed)
         told = np.full((2, BODY_TERMS + 1), np.nan)
         if bodies[-1] is not None and np.isfinite(bodies_m).all():
-            terms, beside = bodies[-1].distance_terms(camera.fx)
+            terms, beside = bodies[-1].distance_terms(camera.fx, lengths_m)
             told = np.column_stack([terms, [beside, beside]])
         found = ranged.placed.radius_m, ranged.keypoints.joint_scores, true[sides]
         one = Ranges(*found, misfit, palm_span(canonical), told[sides])
@@ -180,7 +182,7 @@ def ranges_in(estimator: HandEstimator, sample: HandSample) -> Ranges:
 
     watching = dataclasses.replace(stages, refine=refine, body=body)
     watched = HandEstimator(estimator.networks, estimator.card, watching)
-    pose = watched.estimate(sample.image, sample.camera, np.where(np.isfinite(lengths_m), lengths_m, 0.1))
+    pose = watched.estimate(sample.image, sample.camera, lengths_m)
     ranges_m = [hand.range_m for hand in pose.hands if hand.range_m is not None]
     # what else was seen is of the picture turned
     return next((one for one in seen if one.estimated.tolist() == ranges_m), seen[0])

@@ -119,23 +119,23 @@ def test_sizes_and_depths_of_a_body_by_hand():
     body = body_of(joints, np.eye(3))
     np.testing.assert_allclose(body.sizes_px, [100, 10, np.hypot(100, 40)])
     np.testing.assert_allclose(body.depths_px, [-12, 0, 40])
-    terms, beside = body.distance_terms(600.0)
+    terms, beside = body.distance_terms(600.0, np.array([0.1, 0.08]))
     assert beside == pytest.approx(np.log(6.0))
-    np.testing.assert_allclose(terms[0], [1, np.log(0.1), np.log(np.hypot(100, 40) / 100), -0.02, 40 / 600])
-    np.testing.assert_allclose(terms[1], [*terms[0, :3], 0, 40 / 600])
+    np.testing.assert_allclose(terms[0], [1, np.log(0.1), np.log(np.hypot(100, 40) / 100), -0.02, 40 / 600, 0])
+    np.testing.assert_allclose(terms[1], [*terms[0, :3], 0, 40 / 600, np.log(0.8)])
 
 
 def test_a_picture_enlarged_with_its_camera_shows_the_same_distances():
     joints = standing()
     joints[:, 2] = np.linspace(-20, 20, 39)
     place = np.array([[0, -3.0, 400], [3.0, 0, 40], [0, 0, 1.0]])
-    plain, large = (body_of(joints, one).distance_terms(f) for one, f in ((np.eye(3), 500.0), (place, 1500.0)))
+    plain, large = (body_of(joints, one).distance_terms(f, 0.09) for one, f in ((np.eye(3), 500.0), (place, 1500.0)))
     for one, other in zip(plain, large, strict=True):
         np.testing.assert_allclose(one, other, atol=1e-12)
 
 
 def test_a_body_of_no_size_says_nothing_infinite():
-    terms, beside = body_of(np.zeros((39, 5)), np.eye(3)).distance_terms(500.0)
+    terms, beside = body_of(np.zeros((39, 5)), np.eye(3)).distance_terms(500.0, 0.1)
     assert np.isfinite(terms).all() and np.isfinite(beside)
 
 

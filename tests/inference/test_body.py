@@ -212,6 +212,19 @@ def test_uncertain_hands_are_as_far_as_the_body_whose_they_are():
     assert len(asked) == 2 and [hand.body_range_m for hand in pose.hands] == [None, None]
 
 
+def test_who_has_longer_hands_is_farther_for_the_same_size():
+    estimator, sample = known_hands()
+    weights = (*(0.0,) * (BODY_TERMS - 1), 1.0)
+    placement = dataclasses.replace(
+        estimator.card.placement, range_errors=(1e3, 1e3), body_weights=weights, body_spread=1e-3
+    )
+    card = dataclasses.replace(estimator.card, placement=placement)
+    seen = {"body": lambda *_: at_a_wrist(sample), "refine": partial(refine, placement), "card": card}
+    estimator = HandEstimator(estimator.networks, card, dataclasses.replace(estimator.stages, **seen))
+    pose = estimator.estimate(sample.image, sample.camera, np.array([0.1, 0.12]))
+    np.testing.assert_allclose([hand.range_m for hand in pose.hands], [3.0, 3.6], rtol=1e-3)
+
+
 def test_a_body_without_a_hand_at_a_wrist_says_nothing_of_hands():
     estimator, sample = known_hands()
     placement = dataclasses.replace(estimator.card.placement, body_weights=(0.0,) * BODY_TERMS)

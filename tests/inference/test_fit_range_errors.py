@@ -23,9 +23,11 @@ from tests.inference.test_second_look import SAMPLE, Two
 from tests.oracles import Oracle, drawn_hands, make_card
 
 from twohands.errors import InputError
+from twohands.geometry.body import BODY_TERMS
 from twohands.inference.decision import PlacementConfig
 from twohands.inference.estimator import HandEstimator
 from twohands.inference.placement import range_sigma
+from twohands.skeleton import ROOT, WRIST
 
 PRIOR = PlacementConfig()
 NOBODY = np.full((2, 6), np.nan)
@@ -106,11 +108,11 @@ def test_what_tells_of_a_range_is_of_the_pair_whose_range_it_is():
 
 def test_how_far_hands_are_by_their_body_is_found_again():
     """600 people, as far as their bodies' sizes say but for what both hands have in common and each by itself."""
-    rng, weights = np.random.default_rng(8), np.array([-2.0, -0.7, -0.2, 0.3, -0.8])
+    rng, weights = np.random.default_rng(8), np.array([-2.0, -0.7, -0.2, 0.3, -0.8, 0.6])
     people = []
     for one in pictures(600, (0.1, 0.2), rng):
         off = rng.multivariate_normal(np.zeros(2), 0.15**2 * np.array([[1, 0.6], [0.6, 1]]))
-        terms = np.column_stack([np.ones(2), rng.normal(0, 0.3, (2, 4))])
+        terms = np.column_stack([np.ones(2), rng.normal(0, 0.3, (2, BODY_TERMS - 1))])
         beside = np.log(one.true) - terms @ weights - off
         people.append(one._replace(body=np.column_stack([terms, beside])))
     config = fitted_bodies(people, dataclasses.replace(PRIOR, range_errors=(0.1, 0.2)))
@@ -123,15 +125,16 @@ def test_how_far_hands_are_by_their_body_is_found_again():
 
 def test_what_a_body_says_stands_beside_its_hands():
     estimator, sample = known_hands()
-    placement = dataclasses.replace(estimator.card.placement, body_weights=(0.0,) * 5)
+    placement = dataclasses.replace(estimator.card.placement, body_weights=(0.0,) * BODY_TERMS)
     card, body = dataclasses.replace(estimator.card, placement=placement), at_a_wrist(sample)
     for seen in (body, None):
         stages = dataclasses.replace(estimator.stages, body=lambda *_, seen=seen: seen)
         found = ranges_in(HandEstimator(estimator.networks, card, stages), sample)
         if seen is None:
-            assert np.isnan(found.body).all() and found.body.shape == (2, 6)
+            assert np.isnan(found.body).all() and found.body.shape == (2, BODY_TERMS + 1)
         else:
-            terms, beside = body.distance_terms(sample.camera.fx)
+            lengths_m = np.linalg.norm(sample.joints_m[:, ROOT] - sample.joints_m[:, WRIST], axis=-1)
+            terms, beside = body.distance_terms(sample.camera.fx, lengths_m)
             np.testing.assert_allclose(found.body, np.column_stack([terms, [beside] * 2]))
 
 

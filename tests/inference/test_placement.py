@@ -79,12 +79,13 @@ def test_hands_where_their_bodies_have_them_stay_and_err_together():
 
 
 def test_how_far_hands_are_by_a_body_by_hand():
-    """60 pixels from shoulder to shoulder at a focal length of 600, times e^-2."""
+    """60 pixels from shoulder to shoulder at a focal length of 600, times e^-2, and of shorter hands the root less."""
     body = Body(*(np.zeros((2, n)) for n in (2, 4)), np.ones(2), *np.zeros((2, 2, 2)), SIZES_PX, np.array([60.0, 0, 0]))
-    config = dataclasses.replace(OF_BODIES, body_weights=(-2.0, 0.0, 0.0, 0.5, 0.0))
-    np.testing.assert_allclose(body_ranges(body, 600.0, config), 10 * np.exp([-1.95, -2.0]))
-    assert np.isnan(body_ranges(None, 600.0, config)).all()
-    assert np.isnan(body_ranges(body, 600.0, dataclasses.replace(config, body_weights=()))).all()
+    config = dataclasses.replace(OF_BODIES, body_weights=(-2.0, 0.0, 0.0, 0.5, 0.0, 0.5))
+    np.testing.assert_allclose(body_ranges(body, 600.0, 0.1, config), 10 * np.exp([-1.95, -2.0]))
+    np.testing.assert_allclose(body_ranges(body, 600.0, 0.064, config), 8 * np.exp([-1.95, -2.0]))
+    assert np.isnan(body_ranges(None, 600.0, 0.1, config)).all()
+    assert np.isnan(body_ranges(body, 600.0, 0.1, dataclasses.replace(config, body_weights=()))).all()
 
 
 def test_the_given_ranges_are_left_alone():

@@ -104,7 +104,7 @@ def test_a_folder_is_taken_before_a_shipped_preset_of_its_name(tiny, tmp_path, m
         (lambda card: card["placement"].update(range_errors=[0.04]), "range_errors must be"),
         (lambda card: card["placement"].update(range_errors=[0.04, 0]), "range_errors must be"),
         (lambda card: card["placement"].update(range_errors=0.04), "card: "),
-        (lambda card: card["placement"].update(body_weights=[1, 2]), "body_weights must be 5 numbers"),
+        (lambda card: card["placement"].update(body_weights=[1, 2]), "body_weights must be 6 numbers"),
         (lambda card: card["placement"].update(body_spread=0), "body_spread must be above 0"),
         (lambda card: card["placement"].update(body_correlation=1), "body_correlation between"),
         (lambda card: card["placement"].update(range_sigma=[0.04, 1, 1]), "range_sigma must be"),

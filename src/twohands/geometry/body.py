@@ -22,8 +22,10 @@ JOINTS_SIZE: Final = 256
 """Rows and columns of the crop in which a body's joints are seen."""
 VALUES: Final = 5
 """Numbers that describe a joint: u, v, depth, log-odds that it is not hidden, and that it is in the crop."""
-BODY_TERMS: Final = 5
+BODY_TERMS: Final = 6
 """Of `Body.distance_terms`."""
+USUAL_LENGTH_M: Final = 0.1
+"""Of a hand, of which its length says nothing."""
 _STRIDES: Final = ((8, 2), (16, 2), (32, 6))
 """Pixels from one anchor to the next, and how many lie in one place."""
 _AROUND: Final = 1.25
@@ -63,17 +65,20 @@ class Body(NamedTuple):
     sizes_px: NDArray[np.float64]
     depths_px: NDArray[np.float64]
 
-    def distance_terms(self, focal_px: float) -> tuple[NDArray[np.float64], float]:
+    def distance_terms(
+        self, focal_px: float, lengths_m: float | NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], float]:
         """What the logarithms of the hands' distances in metres go with, terms (2, `BODY_TERMS`) of LEFT and RIGHT, and
         what they are more than a weighted sum of these.
 
         Of a picture that is enlarged, focal length and all, both stay the same; a person twice as far is half as
-        large.
+        large. Who has longer hands, `lengths_m` of one or (2,), is mostly larger.
         """
         shoulders, *others = np.log(np.maximum(self.sizes_px, 1.0))
         ratios = np.tile([1.0, *(np.array(others) - shoulders)], (2, 1))
         behind = np.column_stack([self.depths_px[:2], np.full(2, self.depths_px[2])]) / focal_px
-        return np.concatenate([ratios, behind], axis=1), math.log(focal_px) - float(shoulders)
+        longer = np.log(np.broadcast_to(lengths_m, (2,)) / USUAL_LENGTH_M)
+        return np.column_stack([ratios, behind, longer]), math.log(focal_px) - float(shoulders)
 
     def near(self, box_px: NDArray[np.float64]) -> NDArray[np.float64]:
         """(2,) how likely the LEFT and the RIGHT hand are what a box (4,) shows: whether their wrist is visible, less

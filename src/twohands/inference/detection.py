@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from twohands.geometry.body import Body
+from twohands.geometry.body import USUAL_LENGTH_M, Body
 from twohands.geometry.boxes import box_in_picture, box_iou
 from twohands.geometry.palm import palm_in
 from twohands.geometry.segmentation import HandBoxes, as_one_hand, box_around, box_evidence, probability
@@ -98,9 +98,11 @@ class HandFinder(HandLooker):
 
     Attributes:
         keep_masks: whether masks are known and stay as they are.
+        lengths_m: |wrist - root| of the hands, or (2,) one of each.
     """
 
     keep_masks: bool = False
+    lengths_m: float | np.ndarray = USUAL_LENGTH_M
 
     def seen_better(
         self,
@@ -218,7 +220,7 @@ class HandFinder(HandLooker):
         """(2,) `body_ranges` of a body one of whose wrists is at one of the hands; NaN without one."""
         hands_px = boxes.boxes_px[boxes.present]
         own = body is not None and any(body.near(box_px).max() > SURE for box_px in hands_px)
-        return body_ranges(body if own else None, self.camera.fx, self.card.placement)
+        return body_ranges(body if own else None, self.camera.fx, self.lengths_m, self.card.placement)
 
     def _in_place(self, boxes: HandBoxes, expected_px: np.ndarray) -> bool:
         """Whether candidates are where the hand of their side is expected, joints (2, 21, 2), or, where none is, in the

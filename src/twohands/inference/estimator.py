@@ -128,7 +128,9 @@ class HandEstimator:
         """`estimate` of a picture that is taken for upright."""
         expected = None if trail is None else Expected.of(trail, index if time_s is None else time_s)
         keep_masks = truth.masks is not None
-        finder = HandFinder(self.stages, self.card, image, camera, expected, keep_masks=keep_masks)
+        finder = HandFinder(
+            self.stages, self.card, image, camera, expected, keep_masks=keep_masks, lengths_m=hand_length_m
+        )
         found, said = None, None
         body = self.body(image, None if trail is None else trail.last[-1].around_px)
         unaided = self.card.decides and truth.replaces_nothing

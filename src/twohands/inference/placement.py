@@ -198,15 +198,18 @@ def range_sigma(joint_scores: np.ndarray, misfit: np.ndarray, span: np.ndarray, 
     return np.minimum(sigma * (span / config.sigma_span) ** span_power, config.usual_spread)
 
 
-def body_ranges(body: Body | None, focal_px: float, config: PlacementConfig) -> np.ndarray:
-    """(2,) metres, how far LEFT and RIGHT are by the size of the person's body; NaN without one."""
+def body_ranges(
+    body: Body | None, focal_px: float, lengths_m: float | np.ndarray, config: PlacementConfig
+) -> np.ndarray:
+    """(2,) metres, how far LEFT and RIGHT, of one length or (2,), are by the size of the person's body; NaN without
+    one."""
     if body is None or not config.body_weights:
         return np.full(2, np.nan)
-    return distances_of(*body.distance_terms(focal_px), config)
+    return distances_of(*body.distance_terms(focal_px, lengths_m), config)
 
 
 def distances_of(terms: np.ndarray, beside: np.ndarray | float, config: PlacementConfig) -> np.ndarray:
-    """(B,) metres, by what `Body.distance_terms` gives, terms (B, 5), and beside them one number or (B,)."""
+    """(B,) metres, by what `Body.distance_terms` gives, terms (B, `BODY_TERMS`), and beside them one number or (B,)."""
     return np.exp(terms @ np.array(config.body_weights) + beside)
 
 

@@ -11,8 +11,8 @@ import numpy as np
 from twohands.skeleton import LEFT, RIGHT
 from twohands.synth.scene.arm_goals import ArmGoal, SolvedArms
 from twohands.synth.scene.arm_goals import solved as solve
-from twohands.synth.scene.body import BONES_PER_SIDE, arm_kinematics
-from twohands.synth.scene.collision import hand_enters_itself, hands_collide
+from twohands.synth.scene.body import BONES_PER_SIDE, arm_kinematics, carried
+from twohands.synth.scene.collision import HANDS_TOUCH, hand_enters_itself, hands_collide
 from twohands.synth.scene.config import SynthConfig
 from twohands.synth.scene.figures import Figure, Posture, Y, Z, outline_of
 from twohands.synth.scene.gestures import Gesture, Stage
@@ -31,20 +31,60 @@ NEAREST_M: Final = 0.09
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Contact:
+    """What the hands of a pose may touch.
+
+    Attributes:
+        near: as of `collision.hands_collide`.
+        presses_m: (2,) by which they may enter trunk and head (`ArmGoal.touches`).
+        hidden: (2,) bool, whether it does not matter if they enter anything.
+    """
+
+    near: float | np.ndarray
+    presses_m: np.ndarray
+    hidden: np.ndarray
+
+    @property
+    def together(self) -> bool:
+        """Whether the hands act together, and may touch where others may not."""
+        return np.ndim(self.near) > 0
+
+    def __or__(self, other: Contact) -> Contact:
+        """What may be touched on the way from one pose to the other."""
+        near = np.minimum(self.near, other.near)
+        return Contact(near, np.maximum(self.presses_m, other.presses_m), self.hidden | other.hidden)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class PosedArms:
     """Both arms of a figure, in the person's frame.
 
     Attributes:
+        rotations: (2, 24, 3, 3) of their bones.
         transforms: (48, 3, 4) rest-to-posed.
         joints: (2, 22, 3).
         turns: (28, 3, 3) the posture's, with the collar bones'.
         doing: names of the gestures of left and right.
+        contact: what the hands may touch.
     """
 
+    rotations: np.ndarray
     transforms: np.ndarray
     joints: np.ndarray
     turns: np.ndarray
     doing: tuple[str, str]
+    contact: Contact
+
+    @classmethod
+    def of(
+        cls, person: Figure, rotations: np.ndarray, turns: np.ndarray, doing: tuple[str, str], contact: Contact
+    ) -> PosedArms:
+        """From the rotations of all bones."""
+        shoulders = shoulder_moves(body_transforms(person.heads, turns))
+        bones = arm_kinematics(person.body.heads.reshape(2, BONES_PER_SIDE, 3), rotations)
+        transforms = after(shoulders[:, None], bones)
+        joints = carried(person.body.joints, transforms)
+        return cls(rotations, transforms.reshape(-1, 3, 4), joints, turns, doing, contact)
 
 
 def _shoulders(rng: np.random.Generator, heights: list[float]) -> tuple[np.ndarray, np.ndarray]:
@@ -89,6 +129,8 @@ def pose_arms(
     else:
         pair = chosen(stages[LEFT], stages[RIGHT], rng)
         goals, touch, names = list(pair.goals), pair.touch, (chosen.__name__,) * 2
+    presses_m, hidden = np.array([goal.touches for goal in goals]), np.array([goal.hidden for goal in goals])
+    contact = Contact(HANDS_TOUCH if touch is None else touch, presses_m, hidden)
     goals = [_mirrored(goal, stage) for goal, stage in zip(goals, stages, strict=True)]
     collars = _shoulders(rng, [float(goal.place[:, 1].mean()) for goal in goals])
     turns = posture.turns.copy()
@@ -102,10 +144,7 @@ def pose_arms(
     if both is None:
         return None
     rotations = np.stack([arms.rotations[i] for arms, i in zip(solved, both, strict=True)])
-    bones = arm_kinematics(person.body.heads.reshape(2, BONES_PER_SIDE, 3), rotations)
-    transforms = np.concatenate([after(shoulder, bone) for shoulder, bone in zip(shoulders, bones, strict=True)])
-    joints = np.stack([arms.joints[i] for arms, i in zip(solved, both, strict=True)])
-    return PosedArms(transforms, joints, turns, (names[0], names[1]))
+    return PosedArms.of(person, rotations, turns, (names[0], names[1]), contact)
 
 
 def _stage(person: Figure, posture: Posture, outline: Outline, side: int, pinhole: np.ndarray) -> Stage:
@@ -126,6 +165,11 @@ def _mirrored(goal: ArmGoal, stage: Stage) -> ArmGoal:
     )
 
 
+def before_lens(points: np.ndarray) -> np.ndarray:
+    """(...) bool, whether all joints (..., J, 3), camera's frame, are far enough before the lens, or all behind."""
+    return np.asarray((points[..., 2] > NEAREST_M).all(-1) | (points[..., 2] < 0).all(-1))
+
+
 def _fits(
     person: Figure,
     outline: Outline,
@@ -139,7 +183,7 @@ def _fits(
     """(N,) bool, which candidates are possible, and in the picture where they must be."""
     fits = arms.fits.copy()
     points = moved(view, arms.joints[:, 1:])
-    fits &= (points[..., 2] > NEAREST_M).all(-1) | (points[..., 2] < 0).all(-1) | goal.hidden
+    fits &= before_lens(points) | goal.hidden
     if seen:
         fits &= inside_image(points, viewpoint.camera, 0.0).sum(-1) >= SHOWN_INSIDE
     left = np.flatnonzero(fits)

@@ -6,6 +6,7 @@ The hands that count are those of the first person, who is the largest in the pi
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -24,7 +25,7 @@ from twohands.synth.scene.plans import MOVABLE, SHOWING, SITTING, STANDING, choo
 from twohands.synth.scene.pose import rotation_about
 from twohands.synth.scene.posed_arms import PosedArms, pose_arms
 from twohands.synth.scene.sampling import inside_image
-from twohands.synth.scene.spec import BARE, ArmMotion, Lighting, SceneSpec, Skin, moved, viewed
+from twohands.synth.scene.spec import ArmMotion, Lighting, SceneSpec, Skin, moved, viewed
 from twohands.synth.scene.things import Thing, muted_colour, sample_things
 from twohands.synth.scene.views import Viewpoint, sample_viewpoint
 from twohands.synth.scene.wardrobe import LONG_SLEEVES, sample_look, sample_someone
@@ -43,6 +44,62 @@ MOVING: Final = 0.3
 """Share of pictures in which arms move during the exposure."""
 TURNS_RAD: Final = (0.03, 0.2)
 """Typical turns of a forearm during it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Subject:
+    """The first person before the camera.
+
+    Attributes:
+        person: who.
+        posture: how they sit or stand.
+        viewpoint: whose camera.
+        view: (3, 4) from the person's frame to the camera's.
+    """
+
+    person: Figure
+    posture: Posture
+    viewpoint: Viewpoint
+    view: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Setting:
+    """All of a scene of people but what the first one's arms do, and what moves with them.
+
+    Attributes:
+        subject: the first person.
+        look: of that person.
+        scale: as of `SceneSpec`.
+        lighting: lights.
+        others: people farther off.
+    """
+
+    subject: Subject
+    look: PersonLook
+    scale: float
+    lighting: Lighting
+    others: tuple[PersonSpec, ...]
+
+    def scene(self, arms: PosedArms, index: int) -> SceneSpec:
+        """With the arms so, and no things."""
+        person, view = self.subject.person, self.subject.view
+        joints = moved(view, arms.joints)
+        present = inside_image(joints[:, 1:], self.subject.viewpoint.camera, 0.0).sum(-1) >= MIN_INSIDE
+        transforms, shape, look = viewed(view, arms.transforms), person.someone.shape, self.look
+        return SceneSpec(
+            self.subject.viewpoint.camera,
+            shape,
+            transforms,
+            self.scale,
+            np.where(present[:, None, None], joints * self.scale, np.nan),
+            present,
+            Skin(look.skin_albedo, look.palm_albedo, look.skin_albedo, look.skin_roughness, 0.5, look.seed),
+            self.lighting,
+            index,
+            view,
+            people=(PersonSpec(look, shape, transforms, arms.turns, view, self.scale, np.ones(2, bool)), *self.others),
+        )
 
 
 def draw_people(
@@ -64,7 +121,26 @@ def draw_people(
     Raises:
         InputError: no camera of this configuration sees a hand.
     """
-    handless = bool(rng.random() < HANDLESS)
+    subject, arms = sample_subject(config, bool(rng.random() < HANDLESS), rng)
+    lighting = sample_people_lighting(config, subject.viewpoint, rng)
+    look_rng, thing_rng, others, still, worn_rng = rng.spawn(5)
+    setting = sample_setting(config, subject, lighting, fabrics, fabric_rng, look_rng, others)
+    scene = setting.scene(arms, index)
+    things = (*_things(config, subject, arms, thing_rng), *worn_on_arms(config, setting, arms, worn_rng))
+    return dataclasses.replace(scene, things=things, motion=_motion(subject.person, scene.people[0], arms, still))
+
+
+def sample_subject(config: SynthConfig, handless: bool, rng: np.random.Generator) -> tuple[Subject, PosedArms]:
+    """Somebody before a camera, and what their arms do.
+
+    Args:
+        config: picture size, camera.
+        handless: whether no hand is to be seen.
+        rng: the only source of randomness.
+
+    Raises:
+        InputError: no camera of this configuration sees a hand.
+    """
     for attempt in range(MAX_TRIES):
         if attempt % TRIES_PER_PERSON == 0:  # the fingers of some touch each other in every pose
             person = figure(sample_someone(rng))
@@ -76,35 +152,25 @@ def draw_people(
             chosen, seen = sample_plan(viewpoint, posture, handless, rng)
         arms = pose_arms(person, posture, chosen, seen, view, viewpoint, config, rng)
         if arms is not None:
-            break
-    else:
-        raise InputError("no pose of a whole person fits the picture: take a wider field of view")
+            return Subject(person, posture, viewpoint, view), arms
+    raise InputError("no pose of a whole person fits the picture: take a wider field of view")
+
+
+def sample_setting(
+    config: SynthConfig,
+    subject: Subject,
+    lighting: Lighting,
+    fabrics: FabricFolder | None,
+    fabric_rng: np.random.Generator,
+    look_rng: np.random.Generator,
+    others_rng: np.random.Generator,
+) -> Setting:
+    """What somebody looks like, and who else is there; arguments as of `draw_people`, each with its own randomness."""
+    person = subject.person
     scale = 1.0 if config.hand_length is None else config.hand_length / person.body.hand_length_m
-    joints = moved(view, arms.joints)
-    present = inside_image(joints[:, 1:], viewpoint.camera, 0.0).sum(-1) >= MIN_INSIDE
-    lighting = _lighting(config, viewpoint, rng)
-    look_rng, thing_rng, others, still, worn_rng = rng.spawn(5)
     fabric = None if fabrics is None else fabrics.sample(fabric_rng, muted_colour(fabric_rng))
     look = sample_look(look_rng, person.someone, fabric)
-    first = PersonSpec(
-        look, person.someone.shape, viewed(view, arms.transforms), arms.turns, view, scale, np.ones(2, bool)
-    )
-    return SceneSpec(
-        viewpoint.camera,
-        person.someone.shape,
-        first.arms,
-        scale,
-        np.where(present[:, None, None], joints * scale, np.nan),
-        present,
-        Skin(look.skin_albedo, look.palm_albedo, look.skin_albedo, look.skin_roughness, 0.5, look.seed),
-        lighting,
-        index,
-        view,
-        BARE,
-        (*_things(config, person, posture, arms, thing_rng), *_worn(config, person, look, arms, worn_rng)),
-        people=(first, *_others(config, viewpoint, scale, others)),
-        motion=_motion(person, first, arms, still),
-    )
+    return Setting(subject, look, scale, lighting, _others(config, subject.viewpoint, scale, others_rng))
 
 
 def _motion(
@@ -124,7 +190,7 @@ def _motion(
     return motion[LEFT], motion[RIGHT]
 
 
-def _lighting(config: SynthConfig, viewpoint: Viewpoint, rng: np.random.Generator) -> Lighting:
+def sample_people_lighting(config: SynthConfig, viewpoint: Viewpoint, rng: np.random.Generator) -> Lighting:
     """The lamps of hands' scenes, farther off, for a whole person needs more room."""
     lighting = sample_lighting(config, rng)
     farther, ambient = rng.uniform(1.2, 1.8), rng.uniform(1.0, 1.9)
@@ -145,35 +211,32 @@ def _azimuth(viewpoint: Viewpoint) -> float:
     return float(np.arctan2(viewpoint.place[0], viewpoint.place[2]))
 
 
-def _things(
-    config: SynthConfig,
-    person: Figure,
-    posture: Posture,
-    arms: PosedArms,
-    rng: np.random.Generator,
-) -> tuple[Thing, ...]:
-    """What the first person holds, where the gesture is one of holding, and their table and chair."""
-    upright = posture.lean.T
-    things = props.furniture(posture.table_y, posture.seated, upright, rng)
+def furniture_of(posture: Posture, rng: np.random.Generator) -> list[Thing]:
+    """Their table and chair."""
+    return props.furniture(posture.table_y, posture.seated, posture.lean.T, rng)
+
+
+def _things(config: SynthConfig, subject: Subject, arms: PosedArms, rng: np.random.Generator) -> tuple[Thing, ...]:
+    """What the first person holds, where the gesture is one of holding, and their furniture."""
+    things = furniture_of(subject.posture, rng)
     if config.objects == 0:
         return tuple(things)
-    up = -upright[:, 1]
+    up = -subject.posture.lean[1]
     if arms.doing[LEFT] == arms.doing[RIGHT] == "holding_between":
         return (*things, props.flat_between(arms.joints, rng))
     for side in (LEFT, RIGHT):
-        held = _held(person.body, arms.joints, side, arms.doing[side], up, rng)
+        held = _held(subject.person.body, arms.joints, side, arms.doing[side], up, rng)
         if held is not None:
             things.append(held)
     return tuple(things)
 
 
-def _worn(
-    config: SynthConfig, person: Figure, look: PersonLook, arms: PosedArms, rng: np.random.Generator
-) -> tuple[Thing, ...]:
-    """A watch on a bare wrist, and rings."""
+def worn_on_arms(config: SynthConfig, setting: Setting, arms: PosedArms, rng: np.random.Generator) -> tuple[Thing, ...]:
+    """A watch on a bare wrist, and rings; the same draws give the same ones on arms that have moved."""
+    look, body = setting.look, setting.subject.person.body
     sleeve = look.sleeve_from if look.outfit in LONG_SLEEVES else np.inf
     worn = dataclasses.replace(config, objects=0.0)
-    return sample_things(worn, person.body, arms.transforms, arms.joints, np.ones(2, bool), (-np.inf, sleeve), rng)
+    return sample_things(worn, body, arms.transforms, arms.joints, np.ones(2, bool), (-np.inf, sleeve), rng)
 
 
 def _held(

@@ -23,7 +23,7 @@ SPLITS: Final[dict[str, int]] = {"train": 0, "val": 1, "test": 2}
 
 
 InstancePart = Literal["scene", "background", "variant", "light", "sensor", "clips", "fabric", "kind", "people"]
-SequencePart = Literal["motion", "look", "things", "clip", "camera", "noise", "fabric"]
+SequencePart = Literal["motion", "look", "things", "clip", "camera", "noise", "fabric", "kind", "people"]
 
 INSTANCE_PARTS: Final[dict[str, int]] = {
     "scene": 0,
@@ -47,6 +47,8 @@ SEQUENCE_PARTS: Final[dict[str, int]] = {
     "camera": 1 << 46,
     "noise": 1 << 47,
     "fabric": 1 << 48,
+    "kind": 1 << 49,
+    "people": 1 << 50,
 }
 """The same for a sequence, to which its frame is added; the index is a second number of the key."""
 

@@ -1,7 +1,8 @@
 """The dynamic set (paper section 3.2) as a production: sequences of frames.
 
-One person, one set of lights and one background clip per sequence; only the arms and the view of the clip move. Frame
-k of sequence i is a pure function of (config, motion, seed, i, k, frames, fps) and of the background files.
+One person, one set of lights and one background clip per sequence; only the arms and the view of the clip move. Of
+whole people, in the share `config.people`, the camera stands still (`sets.people_sequences`). Frame k of sequence i is
+a pure function of (config, motion, seed, i, k, frames, fps) and of the background files.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from twohands.synth.production.produce import Made
 from twohands.synth.render.choice import Renderer, RendererName, open_fabrics, open_renderer, renderer_version
 from twohands.synth.render.compositing import compose_frame
 from twohands.synth.render.lighting import lit_by, lit_inside
+from twohands.synth.render.motion_blur import blurred
 from twohands.synth.render.sensor import expose, sample_sensor
 from twohands.synth.scene.appearance import (
     sample_clothes,
@@ -42,6 +44,10 @@ from twohands.synth.scene.pose import ArmAnatomy
 from twohands.synth.scene.sampling import sample_belongings, sample_camera, worn_on_the_head
 from twohands.synth.scene.spec import SceneSpec, moved, viewed
 from twohands.synth.scene.things import Thing
+from twohands.synth.scene.views import quarter_turns
+from twohands.synth.sets.instances import arms_alone, check_drawn
+from twohands.synth.sets.people_sequences import PeopleSequence
+from twohands.synth.sets.presence import seen_hands
 from twohands.synth.sets.seeds import Split, instance_rng, sequence_rng, stream_seed
 from twohands.synth.sets.writer import encode_instance
 from twohands.types import RenderedFrame
@@ -83,6 +89,7 @@ class SequenceSet:
             raise InputError(f"sequences and frames must be at least 1, got {self.sequences} and {self.frames}")
         if not 1 <= self.fps <= 1000:
             raise InputError(f"fps must lie in [1, 1000], got {self.fps}")
+        check_drawn(self.config, self.renderer)
 
     @cached_property
     def clips(self) -> ClipAssignment:
@@ -250,6 +257,21 @@ class Sequence:
         return open_clip(source, rng, self.set.frames, self.set.fps, self.camera)
 
 
+def open_sequence(sequence_set: SequenceSet, index: int) -> Sequence | PeopleSequence:
+    """A sequence of whole people in the share `config.people`, else of two arms.
+
+    Raises:
+        InputError: no motion fits the hand box, or no camera of this configuration sees a hand.
+    """
+    config, seed = sequence_set.config, sequence_set.scene_seed
+    if config.people > 0:
+        if sequence_rng(seed, index, "kind").random() < config.people:
+            motion, frames, fps = sequence_set.motion, sequence_set.frames, sequence_set.fps
+            return PeopleSequence(config, motion, seed, index, frames, fps, sequence_set.cloths)
+        sequence_set = replace(sequence_set, config=arms_alone(config))
+    return Sequence(sequence_set, index)
+
+
 class SequenceRenderer:
     """Frames of a dynamic set; keeps the last sequence at hand.
 
@@ -266,8 +288,8 @@ class SequenceRenderer:
         """One per process, made when first needed."""
         return open_renderer(self.set.renderer, self.set.config.width, self.set.config.height)
 
-    def _open(self, index: int) -> tuple[Sequence, Clip]:
-        sequence = Sequence(self.set, index)
+    def _open(self, index: int) -> tuple[Sequence | PeopleSequence, Clip]:
+        sequence = open_sequence(self.set, index)
         return sequence, sequence.clip(self.set.clips.sources[index])
 
     def frame(self, sequence: int, frame: int) -> tuple[RenderedFrame, np.ndarray]:
@@ -285,6 +307,8 @@ class SequenceRenderer:
         rendered = self.renderer.render(scene)
         if config.amodal:
             rendered = replace(rendered, amodal=self.renderer.amodal(scene))
+        if scene.people:
+            rendered = blurred(seen_hands(replace(rendered, turns=quarter_turns(scene.view))), scene.motion)
         noise = sequence_rng(self.set.scene_seed, sequence, "noise", frame)
         return rendered, expose(compose_frame(rendered, clip.frame(frame)), planned.sensor, noise)
 

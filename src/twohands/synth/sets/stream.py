@@ -8,7 +8,6 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from twohands.errors import InputError
 from twohands.geometry.camera import project
 from twohands.synth.backgrounds.base import Background, Backgrounds
 from twohands.synth.backgrounds.behind import room_behind
@@ -21,7 +20,7 @@ from twohands.synth.render.sensor import expose, sample_sensor, sample_webcam
 from twohands.synth.scene.config import SynthConfig
 from twohands.synth.scene.fabrics import FabricFolder
 from twohands.synth.scene.views import quarter_turns
-from twohands.synth.sets.instances import sample_scene
+from twohands.synth.sets.instances import check_drawn, sample_scene
 from twohands.synth.sets.presence import seen_hands
 from twohands.synth.sets.seeds import instance_rng
 from twohands.types import HandSample, PinholeCamera, RenderedFrame
@@ -54,8 +53,7 @@ class SyntheticStream:
         renderer_name: RendererName = "raster",
         fabrics: FabricFolder | None = None,
     ) -> None:
-        if config.people > 0 and renderer_name == "blender":
-            raise InputError("Blender draws no whole people: set --config.people 0, or take --renderer raster")
+        check_drawn(config, renderer_name)
         self.config, self.seed, self.size = config, seed, size
         self.renderer_name: RendererName = renderer_name
         self.backgrounds = backgrounds or ProceduralBackgrounds()
