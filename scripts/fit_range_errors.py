@@ -167,8 +167,8 @@ def ranges_in(estimator: HandEstimator, sample: HandSample) -> Ranges:
         bodies.append(None if stages.body is None else stages.body(*where))
         return bodies[-1]
 
-    def refine(hands: PlacedHands, ranged: PlacedHands, sigmas: np.ndarray, *known: Any) -> Any:
-        camera, of_rows_m, bodies_m = known
+    def refine(hands: PlacedHands, ranged: PlacedHands, *known: Any) -> Any:
+        _, camera, of_rows_m, bodies_m = known
         canonical, sides = pulled(estimator.card.placement, ranged, camera, of_rows_m), ranged.keypoints.sides
         misfit = palm_misfit(canonical, ranged.keypoints.joints_px, camera, of_rows_m, ranged.placed)
         told = np.full((2, BODY_TERMS + 1), np.nan)
@@ -178,7 +178,7 @@ def ranges_in(estimator: HandEstimator, sample: HandSample) -> Ranges:
         found = ranged.placed.radius_m, ranged.keypoints.joint_scores, true[sides]
         one = Ranges(*found, misfit, palm_span(canonical), told[sides])
         seen.append(Ranges(*(part[ranged.placed.valid] for part in one)))
-        return stages.refine(hands, ranged, sigmas, *known)
+        return stages.refine(hands, ranged, *known)
 
     watching = dataclasses.replace(stages, refine=refine, body=body)
     watched = HandEstimator(estimator.networks, estimator.card, watching)
@@ -191,7 +191,7 @@ def ranges_in(estimator: HandEstimator, sample: HandSample) -> Ranges:
 def likely(found: Ranges, config: PlacementConfig) -> np.ndarray:
     """(B,) metres: `posterior_ranges`."""
     bodies_m = distances_of(found.body[:, :-1], found.body[:, -1], config) if config.body_weights else None
-    return posterior_ranges(found.estimated, found.scores, config, bodies_m)
+    return posterior_ranges(found.estimated, found.scores.mean(axis=-1), config, bodies_m)
 
 
 def usual_ranges(sets: Sequence[Sequence[Ranges]]) -> PlacementConfig:

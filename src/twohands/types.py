@@ -224,8 +224,8 @@ class HandPose:
         other_px: (21, 2) the joints as the other pair of pose networks sees them; None where it was not asked; for the
             next frame of a video, not exported.
         range_shares: the range as the pose networks place it whose word it is, over that which the joints by themselves
-            say, and the standard deviation of the estimate over it (NaN where it is not known); None where nothing is
-            known; for the next frame of a video, not exported.
+            say, the standard deviation of the estimate over it (NaN where it is not known), and the mean score of the
+            joints that it was estimated from; None where nothing is known; for the next frame of a video, not exported.
         body_range_m: how far the hand is by the size of its person's body, metres; None where nobody knows; for the
             next frame of a video, not exported.
         range_sigma_m: standard deviation of `range_m`, metres: that of the estimate, and of what was assumed; None
@@ -250,7 +250,7 @@ class HandPose:
     side_logit: float | None = None
     pair: int | None = None
     other_px: np.ndarray | None = None
-    range_shares: tuple[float, float] | None = None
+    range_shares: tuple[float, float, float] | None = None
     body_range_m: float | None = None
     range_sigma_m: float | None = None
     scale_source: str | None = None

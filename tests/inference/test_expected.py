@@ -79,8 +79,8 @@ def test_a_pair_that_saw_one_frame_expects_the_hand_to_move_as_the_other_saw_it(
 
 def test_what_is_known_of_ranges_is_that_of_the_last_frame():
     pose = pose_at(0)
-    expected = Expected.of(trail_of(replace(pose, left=replace(pose.left, range_shares=(1.25, 0.1)))), 1)
-    np.testing.assert_allclose(expected.ranges[LEFT], [1.25, 0.1])
+    expected = Expected.of(trail_of(replace(pose, left=replace(pose.left, range_shares=(1.25, 0.1, 0.7)))), 1)
+    np.testing.assert_allclose(expected.ranges[LEFT], [1.25, 0.1, 0.7])
     assert np.isnan(expected.ranges[RIGHT]).all()
 
 

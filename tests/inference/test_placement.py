@@ -16,7 +16,7 @@ SIZES_PX = np.array([60.0, 6.0, 90.0])
 
 
 def scores(*means: float) -> np.ndarray:
-    return np.tile(np.array(means)[:, None], (1, 21))
+    return np.array(means)
 
 
 def likely(ranges: list[float], *means: float) -> np.ndarray:

@@ -51,7 +51,7 @@ def test_a_perfect_score_is_not_taken_for_certainty():
 def test_nothing_is_said_where_nothing_is_known():
     assert np.isnan(range_sigma(scores(0.9), np.array([0.02]), SPAN, PlacementConfig())).all()
     assert np.isnan(range_sigma(scores(0.9), np.array([np.nan]), SPAN, CONFIG)).all()
-    likely = posterior_ranges(np.array([0.5, np.nan]), scores(0.9, 0.9), CONFIG)
+    likely = posterior_ranges(np.array([0.5, np.nan]), np.array([0.9, 0.9]), CONFIG)
     assert np.isfinite(likely[0]) and np.isnan(likely[1])
 
 

@@ -225,9 +225,11 @@ class HandEstimator:
             hands = PlacedHands(canonical, keypoints, placed)
             known = going_on(found, finder.expected)
             ranged = self._ranged(finder, found, hands, lengths_m).scaled(known[:, 0])
-            others = known[:, 1], finder.camera, lengths_m, bodies_m[sides]
+            others = known[:, 1:], finder.camera, lengths_m, bodies_m[sides]
             canonical, placed, sigmas_m = self.stages.refine(hands, ranged, *others)
-            shares = np.column_stack([ranged.placed.radius_m / hands.placed.radius_m, sigmas_m / placed.radius_m])
+            sure = np.where(np.isfinite(known[:, 2]), known[:, 2], ranged.keypoints.joint_scores.mean(axis=-1))
+            share = ranged.placed.radius_m / hands.placed.radius_m
+            shares = np.column_stack([share, sigmas_m / placed.radius_m, sure])
         poses = hand_poses(finder.in_picture(boxes), keypoints, canonical, placed, found.side_logits, sigmas_m)
         return poses if shares is None else with_sight(poses, found, shares, bodies_m)
 

@@ -28,7 +28,7 @@ class Expected(NamedTuple):
             the last frame, and of all after a pause.
         pairs: (2,) the pair of pose networks whose joints counted in the last frame; the first where none of ours did.
         bodies_m: (2,) the `HandPose.body_range_m` of the last frame; NaN where they are not known.
-        ranges: (2, 2) the `HandPose.range_shares` of the last frame; NaN where they are not known.
+        ranges: (2, 3) the `HandPose.range_shares` of the last frame; NaN where they are not known.
     """
 
     seen_px: np.ndarray
@@ -46,7 +46,7 @@ class Expected(NamedTuple):
         """
         newest = trail.last[-1]
         seen_px, pairs = _seen(newest), _pairs(newest)
-        ranges = np.array([hand.range_shares or (np.nan, np.nan) for hand in newest.hands])
+        ranges = np.array([hand.range_shares or (np.nan,) * 3 for hand in newest.hands])
         bodies_m = np.array([np.nan if hand.body_range_m is None else hand.body_range_m for hand in newest.hands])
         if len(trail.last) < 2:
             return cls(seen_px, pairs, ranges, bodies_m)

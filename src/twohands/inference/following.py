@@ -130,12 +130,12 @@ def followed_boxes(
 
 
 def going_on(found: Detection, expected: Expected | None) -> np.ndarray:
-    """(B, 2) what was known in the last frame (`Expected.ranges`) of the ranges of followed hands that the second pose
+    """(B, 3) what was known in the last frame (`Expected.ranges`) of the ranges of followed hands that the second pose
     networks see alone; NaN for others. Of ranges these know less than the first ones (`Detection.first`), and what
     they miss by is much the same from frame to frame."""
     keypoints = found.keypoints
     if not found.followed or expected is None:
-        return np.full((len(keypoints.sides), 2), np.nan)
+        return np.full((len(keypoints.sides), 3), np.nan)
     alone = (keypoints.pairs if found.first is None else np.minimum(keypoints.pairs, found.first.pairs)) > 0
     return np.where(alone[:, None], expected.ranges[keypoints.sides], np.nan)
 
@@ -144,7 +144,7 @@ def with_sight(
     hands: tuple[HandPose, HandPose], found: Detection, shares: np.ndarray, bodies_m: np.ndarray
 ) -> tuple[HandPose, HandPose]:
     """The hands with what the next frame needs: where the other pair of pose networks saw their joints, (2,)
-    `HandPose.body_range_m`, and (B, 2) `HandPose.range_shares`; not of a hand that the first ones have just lost, whose
+    `HandPose.body_range_m`, and (B, 3) `HandPose.range_shares`; not of a hand that the first ones have just lost, whose
     word that range is."""
     seen = list(hands)
     for row, (side, pair) in enumerate(zip(found.keypoints.sides, found.keypoints.pairs, strict=True)):
@@ -155,7 +155,7 @@ def with_sight(
             other_px, lost = found.first.joints_px[row], found.followed
         asked = other_px is not None and bool(np.isfinite(other_px).all())
         known = bool(np.isfinite(shares[row, 0])) and not lost
-        share = (float(shares[row, 0]), float(shares[row, 1])) if known else None
+        share = (float(shares[row, 0]), float(shares[row, 1]), float(shares[row, 2])) if known else None
         body_m = float(bodies_m[side]) if np.isfinite(bodies_m[side]) else None
         sight = {"other_px": other_px if asked else None, "range_shares": share, "body_range_m": body_m}
         seen[side] = replace(hands[side], **sight)

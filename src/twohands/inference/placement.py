@@ -110,7 +110,7 @@ def refine(
     config: PlacementConfig,
     hands: PlacedHands,
     ranged: PlacedHands,
-    sigmas: np.ndarray,
+    known: np.ndarray,
     camera: PinholeCamera,
     lengths_m: np.ndarray,
     bodies_m: np.ndarray,
@@ -122,7 +122,8 @@ def refine(
         config: how far.
         hands: whose joints count.
         ranged: the same hands, as those pose networks see them whose ranges count.
-        sigmas: (B,) standard deviations of ranges as shares of them, where they are known from before; NaN elsewhere.
+        known: (B, 2) standard deviations of ranges as shares of them, and mean scores of the joints that these were
+            estimated from, where they are known from before; NaN elsewhere.
         camera, lengths_m: as for `place`.
         bodies_m: as for `posterior_ranges`.
 
@@ -131,10 +132,11 @@ def refine(
         NaN where they are not known.
     """
     scores, canonical = ranged.keypoints.joint_scores, pulled(config, ranged, camera, lengths_m)
-    radius_m = posterior_ranges(ranged.placed.radius_m, scores, config, bodies_m)
+    sure = np.where(np.isfinite(known[:, 1]), known[:, 1], scores.mean(axis=-1))
+    radius_m = posterior_ranges(ranged.placed.radius_m, sure, config, bodies_m)
     misfit = palm_misfit(canonical, ranged.keypoints.joints_px, camera, lengths_m, ranged.placed)
     sigma = range_sigma(scores, misfit, palm_span(canonical), config)
-    sigma = np.where(np.isfinite(sigmas), sigmas, sigma)
+    sigma = np.where(np.isfinite(known[:, 0]), known[:, 0], sigma)
     placed = replace(hands.placed, radius_m=ranged.placed.radius_m, valid=ranged.placed.valid)
     if hands is not ranged:
         canonical = pulled(config, hands._replace(placed=placed), camera, lengths_m)
@@ -214,7 +216,7 @@ def distances_of(terms: np.ndarray, beside: np.ndarray | float, config: Placemen
 
 
 def posterior_ranges(
-    radius_m: np.ndarray, joint_scores: np.ndarray, config: PlacementConfig, bodies_m: np.ndarray | None = None
+    radius_m: np.ndarray, mean_scores: np.ndarray, config: PlacementConfig, bodies_m: np.ndarray | None = None
 ) -> np.ndarray:
     """The most likely ranges of the hands of one picture.
 
@@ -224,7 +226,7 @@ def posterior_ranges(
     Args:
         radius_m: (B,) estimated distances of the root joints from the pinhole, metres, of one hand or of both; NaN
             where unknown.
-        joint_scores: (B, 21) 0..1.
+        mean_scores: (B,) 0..1, of the joints.
         config: what is usual, and the errors of estimates: those at other scores than the two given follow as powers.
         bodies_m: (B,) `body_ranges` of these hands, which count instead of what is usual where all of them are known.
 
@@ -235,7 +237,7 @@ def posterior_ranges(
         return radius_m
     known = np.isfinite(radius_m)
     highest, lower = config.range_errors
-    part = (1 - joint_scores[known].mean(axis=-1)) / (1 - config.lower_score)
+    part = (1 - mean_scores[known]) / (1 - config.lower_score)
     error = highest ** (1 - part) * lower**part
     if bodies_m is not None and np.isfinite(bodies_m[known]).all():
         usual, spread, correlation = np.log(bodies_m[known]), config.body_spread, config.body_correlation

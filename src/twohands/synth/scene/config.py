@@ -74,9 +74,9 @@ class SynthConfig:
     free_view: float = 0.0
     """Share of pictures taken from anywhere around the hands."""
     people: float = 0.0
-    """Share of pictures, and of sequences, of one to three whole, dressed people, as a webcam, a camera in the room, over
-    the shoulder or above the table sees them. What is left is then seen from the head: `webcam` and `free_view` say
-    something only where this is 0."""
+    """Share of pictures, and of sequences, of one to three whole, dressed people, as a webcam, a camera in the room,
+    over the shoulder or above the table sees them. What is left is then seen from the head: `webcam` and `free_view`
+    say something only where this is 0."""
     people_views: tuple[PeopleView, ...] = PEOPLE_VIEWS
     """From where cameras see whole people; drawn in the shares that `views.SHARES` gives them."""
     together: float = 0.0
