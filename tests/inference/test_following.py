@@ -8,8 +8,9 @@ from tests.inference.test_expected import SAMPLE, pose_at, trail_of
 from tests.oracles import Oracle, drawn_hands, make_card, restaged
 
 from twohands.geometry.boxes import upright_roll_deg
+from twohands.geometry.palm import Palm
 from twohands.inference.expected import FARTHEST
-from twohands.inference.following import LONGEST_REST, followed_boxes, longest_rest
+from twohands.inference.following import LONGEST_REST, WATCHED_REST, followed_boxes, longest_rest
 from twohands.inference.side_keeping import NOTHING_KNOWN, SideMemory
 from twohands.inference.trail import Trail
 from twohands.types import HandPose, TwoHandPose
@@ -50,14 +51,34 @@ class Follower:
 def test_how_long_segmentation_rests():
     """By the pair that needs it sooner; never without a hand."""
 
-    def seen(*pairs):
+    def seen(*pairs, watched=False):
         hands = [HandPose(False) if pair is None else replace(pose_at(0).left, pair=pair) for pair in pairs]
-        return longest_rest(replace(pose_at(0), left=hands[0], right=hands[1]))
+        return longest_rest(replace(pose_at(0), left=hands[0], right=hands[1]), watched)
 
     (alone, both), (second_alone, both_second) = LONGEST_REST
     assert seen(0, 0) == seen(1, 0) == seen(0, 1) == both and seen(1, 1) == both_second
     assert seen(0, None) == seen(None, 0) == alone and seen(1, None) == seen(None, 1) == second_alone
-    assert seen(None, None) == 0
+    assert seen(None, None) == seen(None, None, watched=True) == 0
+    assert [seen(pair, None, watched=True) for pair in (0, 1)] == list(WATCHED_REST)
+    assert seen(0, 1, watched=True) == both and (alone, second_alone) < WATCHED_REST
+
+
+@pytest.mark.parametrize(
+    ("palms", "follows"), [(("own",), True), (("own", "own"), True), ((), False), (("own", "other"), False)]
+)
+def test_a_hand_alone_is_followed_for_long_while_the_palm_detector_sees_it_and_no_other(palms, follows):
+    """Nobody asks it before."""
+    sample, asked = drawn_hands(2, present=(True, False)), []
+    follower = Follower(sample)
+    own_px = sample.joints_px[0].mean(axis=0)
+    middles = {"own": own_px, "other": own_px + np.array([200.0, 0.0])}
+    seen = tuple(Palm(1.0, middles[which], np.array([0.0, -30.0]), 60.0) for which in palms)
+    follower.estimator = restaged(follower.estimator, palms=lambda image: asked.append(1) or seen)
+    first = follower.estimate(None, 0)
+    trail = Trail((first,), first, may_rest=True)
+    asked.clear()
+    assert follower.estimate(trail).followed and not asked
+    assert follower.estimate(replace(trail, rested=longest_rest(first))).followed == follows and asked
 
 
 def test_a_hand_that_leaves_and_hands_in_one_place_are_not_followed():

@@ -118,13 +118,13 @@ def test_a_clips_memory_is_turned_with_its_frames():
     """A hand at (100, 50) that moves by (8, 2): a quarter further at (50, 300), moving by (2, -8)."""
     track = Track(np.array([100.0, 50.0]), 40.0, np.array([8.0, 2.0]), 3.0, 1)
     pose = replace(pose_of(), around_px=np.array([[100.0, 50.0], [108.0, 52.0]]))
-    trail = Trail((pose, pose), pose, True, SideMemory(CONFIG, (track, None)))
+    trail = Trail((pose, pose), pose, True, 2, SideMemory(CONFIG, (track, None)))
     turned = turned_trail(trail, (240, 400), 1)
     assert np.array_equal(turned.last[-1].around_px, [[50.0, 300.0], [52.0, 292.0]])
     left, right = turned.sides.tracks
     assert np.array_equal(left.middle, [50.0, 300.0]) and np.array_equal(left.step, [2.0, -8.0])
     assert (left.size, left.logit, left.unseen, right) == (40.0, 3.0, 1, None)
-    assert turned.may_rest and turned.seen is turned.last[-1]
+    assert turned.may_rest and turned.rested == 2 and turned.seen is turned.last[-1]
     assert turned_trail(trail, (240, 400), 0) is trail
 
 

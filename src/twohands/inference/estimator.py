@@ -132,14 +132,14 @@ class HandEstimator:
             self.stages, self.card, image, camera, expected, keep_masks=keep_masks, lengths_m=hand_length_m
         )
         found, said = None, None
-        body = self.body(image, None if trail is None else trail.last[-1].around_px)
+        body, palms = self.body(image, None if trail is None else trail.last[-1].around_px), self.palms(image)
         unaided = self.card.decides and truth.replaces_nothing
         if trail is not None and expected is not None and trail.may_rest and unaided:
-            found = followed_hands(finder, trail, expected)
+            found = followed_hands(finder, trail, expected, palms)
         if found is None:
             maps = None if truth.knows_hands else self.stages.hand_maps(image)
             said = None if maps is None else maps.turn_logits
-            finder = replace(finder, body=body, palms=self.palms(image)) if unaided else finder
+            finder = replace(finder, body=body, palms=palms) if unaided else finder
             found = self.find_hands(finder, *self.segment(image, truth, maps, finder.body), truth, trail)
         left, right = self.place_hands(finder, found, hand_length_m, truth)
         masks = None if found.followed else certain_masks(found.masks)

@@ -6,18 +6,22 @@ PoseNet2D looks there; the card's last decision says whether it is still the han
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
-from twohands.geometry.boxes import box_iou
+from twohands.geometry.boxes import box_iou, near_box
+from twohands.geometry.palm import Palm
 from twohands.geometry.segmentation import HandBoxes
+from twohands.inference.body import SURE
 from twohands.inference.detection import Detection, HandFinder
 from twohands.inference.expected import FARTHEST, Expected, strayed
 from twohands.inference.handedness import PASSED
 from twohands.inference.keypoints import in_sight, joint_boxes
 from twohands.inference.moved_masks import NO_MASKS, moved_masks
+from twohands.inference.palm import no_palms
 from twohands.inference.side_decision import known_assignment, known_scores
 from twohands.inference.trail import Trail
 from twohands.inference.weights import WeightsCard
@@ -28,18 +32,25 @@ LONGEST_REST: Final = ((1, 3), (2, 6))
 """For how many frames in a row HandSegNet may rest, of a hand that is alone and of both: where the first pair of pose
 networks follows one, whose masks grow old (docs/history/journal.md, *Masks that move with the picture*), and where the
 second pair, which needs none, follows all (*Real hands followed*)."""
+WATCHED_REST: Final = (3, 4)
+"""The same of a hand that is alone, by the pair that follows it, while the palm detector sees this hand and no other
+(*A hand alone, watched over*): the other one comes unseen otherwise."""
 
 
-def followed_hands(finder: HandFinder, trail: Trail, expected: Expected) -> Detection | None:
+def followed_hands(
+    finder: HandFinder, trail: Trail, expected: Expected, palms: Callable[[], Sequence[Palm]] = no_palms
+) -> Detection | None:
     """Stages 2 and 3 of the hands of the last frame, where they should be now.
 
     Args:
         finder: of the picture.
         trail: of the clip.
         expected: of the frame.
+        palms: give those in the picture, if they are asked.
 
     Returns:
-        None where HandSegNet is to look: no hand can be followed (`followed_boxes`); or one is less likely a hand than
+        None where HandSegNet is to look: no hand can be followed (`followed_boxes`); or it has rested for long and the
+        hand is not `_watched`; or one is less likely a hand than
         none, by the card's last decision where the first pose networks see it, by what the second ones themselves say;
         or it is not where it was expected (`FARTHEST`); or nothing is known of the range of one that the second ones
         follow. Those that saw a hand see it again; where the first ones lose theirs, the second are asked, and must be
@@ -51,6 +62,8 @@ def followed_hands(finder: HandFinder, trail: Trail, expected: Expected) -> Dete
     if boxes is None or np.isnan(expected.ranges[boxes.present & (expected.pairs > 0), 0]).any():
         return None
     present = np.flatnonzero(boxes.present)
+    if trail.rested >= longest_rest(trail.last[-1]) and not _watched(boxes.boxes_px[present], palms()):
+        return None
     masked = (expected.pairs[present] == 0).any()  # the second ones need none
     masks = moved_masks(trail.last[-1], finder.image, expected_px) if masked else NO_MASKS
     crops = finder.joint_crops(masks, boxes.boxes_px, expected_px[present], present, expected.pairs[present])
@@ -65,6 +78,12 @@ def followed_hands(finder: HandFinder, trail: Trail, expected: Expected) -> Dete
     if np.where(found.keypoints.pairs == 1, gone, lost).any():
         return None
     return found._replace(followed=True)
+
+
+def _watched(boxes_px: np.ndarray, palms: Sequence[Palm]) -> bool:
+    """Whether the palm detector sees the hand that is alone in its box (1, 4), and no other."""
+    near = [near_box(palm.middle_px[None], boxes_px[0])[0] > SURE for palm in palms]
+    return len(near) > 0 and all(near)
 
 
 def _far_from(joints_px: np.ndarray, found: Detection) -> np.ndarray:
@@ -98,9 +117,12 @@ def _first_judged(
     return found._replace(boxes=replace(found.boxes, scores=scores)), first & (doubtful[sides] | far)
 
 
-def longest_rest(pose: TwoHandPose) -> int:
-    """For how many frames in a row HandSegNet may rest once it has seen these hands."""
+def longest_rest(pose: TwoHandPose, watched: bool = False) -> int:
+    """For how many frames in a row HandSegNet may rest once it has seen these hands; of one alone for longer where it
+    is `watched` over."""
     pairs = [hand.pair or 0 for hand in pose.hands if hand.present]
+    if watched and len(pairs) == 1:
+        return WATCHED_REST[pairs[0]]
     return LONGEST_REST[min(pairs)][len(pairs) - 1] if pairs else 0
 
 

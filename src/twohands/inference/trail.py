@@ -18,6 +18,7 @@ class Trail:
         last: its last frames, newest last, one or two.
         seen: the last frame that HandSegNet saw.
         may_rest: whether HandSegNet may rest in the frame that comes.
+        rested: for how many frames in a row it has.
         sides: what is known of the hands' sides.
         turn_logits: (4,) what the frames together say of the camera's turn, as `TwoHandPose.turn_logits`; None for
             nothing.
@@ -26,6 +27,7 @@ class Trail:
     last: tuple[TwoHandPose, ...]
     seen: TwoHandPose
     may_rest: bool = False
+    rested: int = 0
     sides: SideMemory = NOTHING_KNOWN
     turn_logits: np.ndarray | None = None
 

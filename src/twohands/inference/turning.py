@@ -126,7 +126,9 @@ def turned_trail(trail: Trail, size: tuple[int, int], turn: int) -> Trail:
     last = tuple(turned_pose(pose, turn) for pose in trail.last)
     seen = last[-1] if trail.seen is trail.last[-1] else turned_pose(trail.seen, turn)
     left, right = (None if track is None else _turned_track(track, size, turn) for track in trail.sides.tracks)
-    return Trail(last, seen, trail.may_rest, SideMemory(trail.sides.config, (left, right)), trail.turn_logits)
+    return Trail(
+        last, seen, trail.may_rest, trail.rested, SideMemory(trail.sides.config, (left, right)), trail.turn_logits
+    )
 
 
 def _hands(pose: TwoHandPose) -> int:

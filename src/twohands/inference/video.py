@@ -100,5 +100,5 @@ class VideoEstimator:
         if self._seen is None:
             return None
         sides = self._sides.memory
-        calm = self._steady and not sides.misses_one and self._resting < longest_rest(self._last[-1])
-        return Trail(self._last, self._seen, self._rests and calm, sides, self._turn)
+        calm = self._steady and not sides.misses_one and self._resting < longest_rest(self._last[-1], watched=True)
+        return Trail(self._last, self._seen, self._rests and calm, self._resting, sides, self._turn)
