@@ -10,7 +10,7 @@ from tests.oracles import Oracle, drawn_hands, make_card, restaged
 from twohands.geometry.boxes import upright_roll_deg
 from twohands.geometry.palm import Palm
 from twohands.inference.expected import FARTHEST
-from twohands.inference.following import LONGEST_REST, WATCHED_REST, followed_boxes, longest_rest
+from twohands.inference.following import EMPTY_REST, LONGEST_REST, WATCHED_REST, followed_boxes, longest_rest
 from twohands.inference.side_keeping import NOTHING_KNOWN, SideMemory
 from twohands.inference.trail import Trail
 from twohands.types import HandPose, TwoHandPose
@@ -58,7 +58,7 @@ def test_how_long_segmentation_rests():
     (alone, both), (second_alone, both_second) = LONGEST_REST
     assert seen(0, 0) == seen(1, 0) == seen(0, 1) == both and seen(1, 1) == both_second
     assert seen(0, None) == seen(None, 0) == alone and seen(1, None) == seen(None, 1) == second_alone
-    assert seen(None, None) == seen(None, None, watched=True) == 0
+    assert seen(None, None) == 0 and seen(None, None, watched=True) == EMPTY_REST
     assert [seen(pair, None, watched=True) for pair in (0, 1)] == list(WATCHED_REST)
     assert seen(0, 1, watched=True) == both and (alone, second_alone) < WATCHED_REST
 
@@ -79,6 +79,17 @@ def test_a_hand_alone_is_followed_for_long_while_the_palm_detector_sees_it_and_n
     asked.clear()
     assert follower.estimate(trail).followed and not asked
     assert follower.estimate(replace(trail, rested=longest_rest(first))).followed == follows and asked
+
+
+@pytest.mark.parametrize(("palms", "rests"), [((), True), (None, False), ("one", False)])
+def test_where_there_is_no_hand_segmentation_rests_while_the_palm_detector_sees_none(palms, rests):
+    """Without a palm detector nobody watches."""
+    empty, follower = replace(pose_at(0), left=HandPose(False), right=HandPose(False)), Follower()
+    seen = (Palm(1.0, np.array([60.0, 60.0]), np.array([0.0, -30.0]), 60.0),) if palms == "one" else ()
+    follower.estimator = restaged(follower.estimator, palms=None if palms is None else lambda image: seen)
+    pose = follower.estimate(Trail((empty,), empty, may_rest=True))
+    assert pose.followed == rests == (not follower.looks)
+    assert pose.left.present == pose.right.present == (not rests)
 
 
 def test_a_hand_that_leaves_and_hands_in_one_place_are_not_followed():

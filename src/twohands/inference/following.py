@@ -19,7 +19,7 @@ from twohands.inference.body import SURE
 from twohands.inference.detection import Detection, HandFinder
 from twohands.inference.expected import FARTHEST, Expected, strayed
 from twohands.inference.handedness import PASSED
-from twohands.inference.keypoints import in_sight, joint_boxes
+from twohands.inference.keypoints import NO_KEYPOINTS, in_sight, joint_boxes
 from twohands.inference.moved_masks import NO_MASKS, moved_masks
 from twohands.inference.palm import no_palms
 from twohands.inference.side_decision import known_assignment, known_scores
@@ -32,9 +32,11 @@ LONGEST_REST: Final = ((1, 3), (2, 6))
 """For how many frames in a row HandSegNet may rest, of a hand that is alone and of both: where the first pair of pose
 networks follows one, whose masks grow old (docs/history/journal.md, *Masks that move with the picture*), and where the
 second pair, which needs none, follows all (*Real hands followed*)."""
-WATCHED_REST: Final = (3, 4)
+WATCHED_REST: Final = (2, 4)
 """The same of a hand that is alone, by the pair that follows it, while the palm detector sees this hand and no other
 (*A hand alone, watched over*): the other one comes unseen otherwise."""
+EMPTY_REST: Final = 2
+"""The same where there is no hand, while the palm detector sees none."""
 
 
 def followed_hands(
@@ -49,7 +51,8 @@ def followed_hands(
         palms: give those in the picture, if they are asked.
 
     Returns:
-        None where HandSegNet is to look: no hand can be followed (`followed_boxes`); or it has rested for long and the
+        Nothing where there was nothing, and the palm detector sees nothing. None where HandSegNet is to look: no hand
+        can be followed (`followed_boxes`); or it has rested for long and the
         hand is not `_watched`; or one is less likely a hand than
         none, by the card's last decision where the first pose networks see it, by what the second ones themselves say;
         or it is not where it was expected (`FARTHEST`); or nothing is known of the range of one that the second ones
@@ -57,6 +60,8 @@ def followed_hands(
         sure (`PASSED`): they know rendered hands less. A hand that the second ones saw before may be elsewhere, if they
         see it twice there (`_seen_twice`).
     """
+    if not any(hand.present for hand in trail.last[-1].hands):
+        return None if finder.stages.palms is None or palms() else NOTHING_FOUND
     finder, expected_px = replace(finder, keep_masks=True), expected.joints_px
     boxes = followed_boxes(trail, expected_px, finder.size, finder.card)
     if boxes is None or np.isnan(expected.ranges[boxes.present & (expected.pairs > 0), 0]).any():
@@ -78,6 +83,12 @@ def followed_hands(
     if np.where(found.keypoints.pairs == 1, gone, lost).any():
         return None
     return found._replace(followed=True)
+
+
+NOTHING_FOUND: Final = Detection(
+    NO_MASKS, HandBoxes(np.full((2, 4), np.nan), np.zeros(2, bool), np.zeros(2)), NO_KEYPOINTS, followed=True
+)
+"""In a frame of rest without hands."""
 
 
 def _watched(boxes_px: np.ndarray, palms: Sequence[Palm]) -> bool:
@@ -119,10 +130,10 @@ def _first_judged(
 
 def longest_rest(pose: TwoHandPose, watched: bool = False) -> int:
     """For how many frames in a row HandSegNet may rest once it has seen these hands; of one alone for longer where it
-    is `watched` over."""
+    is `watched` over, and where there is none only so."""
     pairs = [hand.pair or 0 for hand in pose.hands if hand.present]
-    if watched and len(pairs) == 1:
-        return WATCHED_REST[pairs[0]]
+    if watched and len(pairs) < 2:
+        return WATCHED_REST[pairs[0]] if pairs else EMPTY_REST
     return LONGEST_REST[min(pairs)][len(pairs) - 1] if pairs else 0
 
 
