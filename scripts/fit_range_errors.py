@@ -168,7 +168,7 @@ def ranges_in(estimator: HandEstimator, sample: HandSample) -> Ranges:
         return bodies[-1]
 
     def refine(hands: PlacedHands, ranged: PlacedHands, *known: Any) -> Any:
-        _, camera, of_rows_m, bodies_m = known
+        camera, of_rows_m, bodies_m = known[2:]
         canonical, sides = pulled(estimator.card.placement, ranged, camera, of_rows_m), ranged.keypoints.sides
         misfit = palm_misfit(canonical, ranged.keypoints.joints_px, camera, of_rows_m, ranged.placed)
         told = np.full((2, BODY_TERMS + 1), np.nan)

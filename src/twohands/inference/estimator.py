@@ -225,9 +225,9 @@ class HandEstimator:
             hands = PlacedHands(canonical, keypoints, placed)
             known = going_on(found, finder.expected)
             ranged = self._ranged(finder, found, hands, lengths_m).scaled(known[:, 0])
-            others = known[:, 1:], finder.camera, lengths_m, bodies_m[sides]
-            canonical, placed, sigmas_m = self.stages.refine(hands, ranged, *others)
             sure = np.where(np.isfinite(known[:, 2]), known[:, 2], ranged.keypoints.joint_scores.mean(axis=-1))
+            others = known[:, 1], sure, finder.camera, lengths_m, bodies_m[sides]
+            canonical, placed, sigmas_m = self.stages.refine(hands, ranged, *others)
             share = ranged.placed.radius_m / hands.placed.radius_m
             shares = np.column_stack([share, sigmas_m / placed.radius_m, sure])
         poses = hand_poses(finder.in_picture(boxes), keypoints, canonical, placed, found.side_logits, sigmas_m)

@@ -51,14 +51,14 @@ def followed_hands(
         palms: give those in the picture, if they are asked.
 
     Returns:
-        Nothing where there was nothing, and the palm detector sees nothing. None where HandSegNet is to look: no hand
-        can be followed (`followed_boxes`); or it has rested for long and the
-        hand is not `_watched`; or one is less likely a hand than
-        none, by the card's last decision where the first pose networks see it, by what the second ones themselves say;
-        or it is not where it was expected (`FARTHEST`); or nothing is known of the range of one that the second ones
-        follow. Those that saw a hand see it again; where the first ones lose theirs, the second are asked, and must be
-        sure (`PASSED`): they know rendered hands less. A hand that the second ones saw before may be elsewhere, if they
-        see it twice there (`_seen_twice`).
+        No hand where there was none and the palm detector sees none. None where HandSegNet is to look: no hand
+        can be followed (`followed_boxes`); or it has rested for long, and the one hand is not `_watched`; or
+        one is less likely a hand than none, by the card's last decision where the first pose networks see it,
+        by what the second ones themselves say; or it is not where it was expected (`FARTHEST`); or nothing is
+        known of the range of one that the second ones follow. Those that saw a hand see it again; where the
+        first ones lose theirs, the second are asked, and must be sure (`PASSED`): they know rendered hands
+        less. A hand that the second ones saw before may be elsewhere, if they see it twice there
+        (`_seen_twice`).
     """
     if not any(hand.present for hand in trail.last[-1].hands):
         return None if finder.stages.palms is None or palms() else NOTHING_FOUND

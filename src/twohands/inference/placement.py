@@ -110,7 +110,8 @@ def refine(
     config: PlacementConfig,
     hands: PlacedHands,
     ranged: PlacedHands,
-    known: np.ndarray,
+    sigmas: np.ndarray,
+    sure: np.ndarray,
     camera: PinholeCamera,
     lengths_m: np.ndarray,
     bodies_m: np.ndarray,
@@ -122,8 +123,8 @@ def refine(
         config: how far.
         hands: whose joints count.
         ranged: the same hands, as those pose networks see them whose ranges count.
-        known: (B, 2) standard deviations of ranges as shares of them, and mean scores of the joints that these were
-            estimated from, where they are known from before; NaN elsewhere.
+        sigmas: (B,) standard deviations of ranges as shares of them, where they are known from before; NaN elsewhere.
+        sure: (B,) 0..1, mean scores of the joints that ranges were estimated from, now or before.
         camera, lengths_m: as for `place`.
         bodies_m: as for `posterior_ranges`.
 
@@ -132,11 +133,10 @@ def refine(
         NaN where they are not known.
     """
     scores, canonical = ranged.keypoints.joint_scores, pulled(config, ranged, camera, lengths_m)
-    sure = np.where(np.isfinite(known[:, 1]), known[:, 1], scores.mean(axis=-1))
     radius_m = posterior_ranges(ranged.placed.radius_m, sure, config, bodies_m)
     misfit = palm_misfit(canonical, ranged.keypoints.joints_px, camera, lengths_m, ranged.placed)
     sigma = range_sigma(scores, misfit, palm_span(canonical), config)
-    sigma = np.where(np.isfinite(known[:, 0]), known[:, 0], sigma)
+    sigma = np.where(np.isfinite(sigmas), sigmas, sigma)
     placed = replace(hands.placed, radius_m=ranged.placed.radius_m, valid=ranged.placed.valid)
     if hands is not ranged:
         canonical = pulled(config, hands._replace(placed=placed), camera, lengths_m)

@@ -82,7 +82,8 @@ class Stages:
         read_out: heatmaps, crops -> joints (B, 21, 2) in pixels and scores (B, 21), `keypoints.read_out`.
         lift: keypoints -> canonical joints (B, 21, 3), `placement.lift`.
         place: canonical, joints_px, joint_scores, camera, lengths_m -> `placement.place`.
-        refine: hands, the same by those whose ranges count, known, camera, lengths_m, bodies_m -> `placement.refine`.
+        refine: hands, the same by those whose ranges count, sigmas, sure, camera, lengths_m, bodies_m ->
+            `placement.refine`.
         check: image, joints (B, 21, 2)[, palms] -> `hand_check.checked`; None without such a network.
         body: image[, where to look first] -> `body.seen_body`; None without such networks.
         palms: image -> `palm.seen_palms`; None without such a network.
