@@ -37,6 +37,10 @@ WATCHED_REST: Final = (2, 4)
 (*A hand alone, watched over*): the other one comes unseen otherwise."""
 EMPTY_REST: Final = 2
 """The same where there is no hand, while the palm detector sees none."""
+NOTHING_FOUND: Final = Detection(
+    NO_MASKS, HandBoxes(np.full((2, 4), np.nan), np.zeros(2, bool), np.zeros(2)), NO_KEYPOINTS, followed=True
+)
+"""In a frame of rest without hands."""
 
 
 def followed_hands(
@@ -83,12 +87,6 @@ def followed_hands(
     if np.where(found.keypoints.pairs == 1, gone, lost).any():
         return None
     return found._replace(followed=True)
-
-
-NOTHING_FOUND: Final = Detection(
-    NO_MASKS, HandBoxes(np.full((2, 4), np.nan), np.zeros(2, bool), np.zeros(2)), NO_KEYPOINTS, followed=True
-)
-"""In a frame of rest without hands."""
 
 
 def _watched(boxes_px: np.ndarray, palms: Sequence[Palm]) -> bool:

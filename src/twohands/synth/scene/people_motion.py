@@ -23,7 +23,7 @@ from twohands.synth.scene.outline import enters_body
 from twohands.synth.scene.people import body_bone
 from twohands.synth.scene.plans import sample_plan
 from twohands.synth.scene.pose import rotation_about
-from twohands.synth.scene.posed_arms import Contact, PosedArms, before_lens, pose_arms
+from twohands.synth.scene.posed_arms import COLLARS, Contact, PosedArms, before_lens, pose_arms
 from twohands.synth.scene.spec import moved
 from twohands.synth.scene.whole_people import Subject
 
@@ -123,7 +123,7 @@ class PeopleMotion:
         turned = rotations(now)
         turned[:, [1 + bone for bone in SWINGING]] @= self.arms.at(time)
         turns = self.subject.posture.turns.copy()
-        turns[[body_bone("clavicle.L"), body_bone("clavicle.R")]] = turned[:, 0]
+        turns[COLLARS] = turned[:, 0]
         turns[[body_bone(name) for name in NODDING]] @= self.head.at(time)
         return PosedArms.of(self.subject.person, turned[:, 1:], turns, ("moving", "moving"), contact)
 
@@ -156,9 +156,7 @@ def plan_people_motion(
             then = _gesture(config, subject, now, rng)
             if then is None:
                 continue
-            moves = np.array(
-                [np.abs(then.rotations[side] - now.rotations[side]).max() > 1e-9 for side in (LEFT, RIGHT)]
-            )
+            moves = np.abs(then.rotations - now.rotations).max(axis=(1, 2, 3)) > 1e-9
             durations = _durations(motion, now, then, moves, rng)
             pause = rng.uniform(*motion.pause) if rng.random() < motion.pause_rate else 0.0
             starts = plan.end + waited + pause + rng.uniform(0, 0.15, 2) * durations
@@ -173,8 +171,7 @@ def plan_people_motion(
 
 def _key(arms: PosedArms) -> np.ndarray:
     """(2, 25, 4)."""
-    collars = arms.turns[[body_bone("clavicle.L"), body_bone("clavicle.R")]]
-    return quaternions(np.concatenate([collars[:, None], arms.rotations], axis=1))
+    return quaternions(np.concatenate([arms.turns[COLLARS][:, None], arms.rotations], axis=1))
 
 
 def _gesture(config: SynthConfig, subject: Subject, now: PosedArms, rng: np.random.Generator) -> PosedArms | None:
@@ -187,7 +184,7 @@ def _gesture(config: SynthConfig, subject: Subject, now: PosedArms, rng: np.rand
         return then
     stays = int(rng.integers(2))
     bones, turns, doing = then.rotations.copy(), then.turns.copy(), list(then.doing)
-    collar = body_bone(("clavicle.L", "clavicle.R")[stays])
+    collar = COLLARS[stays]
     bones[stays], turns[collar], doing[stays] = now.rotations[stays], now.turns[collar], now.doing[stays]
     return PosedArms.of(subject.person, bones, turns, (doing[LEFT], doing[RIGHT]), then.contact | now.contact)
 

@@ -28,6 +28,8 @@ SHOWN_INSIDE: Final = 9
 """So many do of a hand that is meant to be seen."""
 NEAREST_M: Final = 0.09
 """Of a hand's joints before the lens."""
+COLLARS: Final = [body_bone("clavicle.L"), body_bone("clavicle.R")]
+"""Of BODY_BONES."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,7 +136,7 @@ def pose_arms(
     goals = [_mirrored(goal, stage) for goal, stage in zip(goals, stages, strict=True)]
     collars = _shoulders(rng, [float(goal.place[:, 1].mean()) for goal in goals])
     turns = posture.turns.copy()
-    turns[[body_bone("clavicle.L"), body_bone("clavicle.R")]] = collars
+    turns[COLLARS] = collars
     shoulders = shoulder_moves(body_transforms(person.heads, turns))
     solved = [
         solve(anatomy, goal, shoulder) for anatomy, goal, shoulder in zip(person.anatomy, goals, shoulders, strict=True)

@@ -15,7 +15,7 @@ from twohands.errors import InputError
 from twohands.skeleton import LEFT, RIGHT
 from twohands.synth.scene import gestures, props
 from twohands.synth.scene.appearance import sample_lighting
-from twohands.synth.scene.body import BONE_NAMES, Body
+from twohands.synth.scene.body import Body, bone
 from twohands.synth.scene.config import SynthConfig
 from twohands.synth.scene.fabrics import FabricFolder
 from twohands.synth.scene.figures import Figure, Posture, Y, figure, sample_posture
@@ -184,8 +184,7 @@ def _motion(
         if not moves or arms.doing[side] not in MOVABLE or rng.random() < 0.25:
             motion.append(None)
             continue
-        upper = BONE_NAMES.index(f"upperarm01.{'LR'[side]}")
-        shoulder = moved(first.arms[upper], person.anatomy[side].shoulder) * first.scale
+        shoulder = moved(first.arms[bone("upperarm01", side)], person.anatomy[side].shoulder) * first.scale
         motion.append(ArmMotion(shoulder, 0.4 * swing, bend))
     return motion[LEFT], motion[RIGHT]
 

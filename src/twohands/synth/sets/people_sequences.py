@@ -16,12 +16,12 @@ from twohands.synth.backgrounds.clip_sources import ClipSource
 from twohands.synth.backgrounds.clips import Clip, open_clip
 from twohands.synth.backgrounds.panoramas import Surroundings
 from twohands.synth.render.sensor import sample_webcam
-from twohands.synth.scene.body import BONE_NAMES
+from twohands.synth.scene.body import bone
 from twohands.synth.scene.config import SynthConfig
 from twohands.synth.scene.fabrics import FabricFolder
 from twohands.synth.scene.motion import MotionConfig
 from twohands.synth.scene.people_motion import PeopleMotion, plan_people_motion
-from twohands.synth.scene.spec import ArmMotion, SceneSpec, moved
+from twohands.synth.scene.spec import ArmMotion, SceneSpec, moved, viewed
 from twohands.synth.scene.views import quarter_turns
 from twohands.synth.scene.whole_people import (
     furniture_of,
@@ -70,7 +70,6 @@ class PeopleSequence:
         look_rng, others_rng = rng.spawn(2)
         own = sequence_rng(seed, index, "fabric")
         self.setting = sample_setting(config, subject, lighting, fabrics, own, look_rng, others_rng)
-        self.turns = quarter_turns(subject.view)
         rng = sequence_rng(seed, index, "camera")
         self.takes_background_light = bool(rng.random() < config.background_light)
         self.sensor = sample_webcam(config.sensor, rng)
@@ -78,7 +77,7 @@ class PeopleSequence:
 
     @cached_property
     def motion(self) -> PeopleMotion:
-        """Planned when first needed; about a second for ten."""
+        """Planned when first needed."""
         rng = sequence_rng(self.seed, self.index, "motion")
         seconds = self.frames / self.fps
         return plan_people_motion(self.config, self._motion_config, self.setting.subject, self._first, seconds, rng)
@@ -94,20 +93,17 @@ class PeopleSequence:
         time, half = frame / self.fps, self.exposure_s / 2
         arms = self.motion.at(time)
         scene = self.setting.scene(arms, frame)
-        ends = [self.setting.scene(self.motion.at(time + step), frame) for step in (-half, half)]
+        ends = [viewed(scene.view, self.motion.at(time + step).transforms) for step in (-half, half)]
         things_rng, worn_rng = sequence_rng(self.seed, self.index, "things").spawn(2)
         things = furniture_of(self.setting.subject.posture, things_rng)
         worn = worn_on_arms(self.config, self.setting, arms, worn_rng)
         left, right = (self._turned(side, scene, *ends) for side in (LEFT, RIGHT))
         return replace(scene, things=(*things, *worn), motion=(left, right))
 
-    def _turned(self, side: int, scene: SceneSpec, before: SceneSpec, after: SceneSpec) -> ArmMotion:
-        """How an arm turns during the exposure."""
-        upper, lower = (BONE_NAMES.index(f"{name}.{'LR'[side]}") for name in ("upperarm01", "lowerarm01"))
-        swing, both = (
-            cv2.Rodrigues(after.transforms[bone, :, :3] @ before.transforms[bone, :, :3].T)[0][:, 0]
-            for bone in (upper, lower)
-        )
+    def _turned(self, side: int, scene: SceneSpec, before: np.ndarray, after: np.ndarray) -> ArmMotion:
+        """How an arm turns during the exposure, the bones' transforms (48, 3, 4) before and after it."""
+        upper, lower = bone("upperarm01", side), bone("lowerarm01", side)
+        swing, both = (cv2.Rodrigues(after[own, :, :3] @ before[own, :, :3].T)[0][:, 0] for own in (upper, lower))
         shoulder = moved(scene.transforms[upper], self.setting.subject.person.anatomy[side].shoulder) * scene.scale
         return ArmMotion(shoulder, swing, both - swing)
 
@@ -118,8 +114,8 @@ class PeopleSequence:
             InputError: the source cannot be read.
         """
         rng = sequence_rng(self.seed, self.index, "clip")
-        camera = self.setting.subject.viewpoint.camera
-        return _Standing(room_behind(_Beginning(source), rng, camera, self.turns))
+        subject = self.setting.subject
+        return _Standing(room_behind(_Beginning(source), rng, subject.viewpoint.camera, quarter_turns(subject.view)))
 
 
 class _Beginning:

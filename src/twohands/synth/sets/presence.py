@@ -1,4 +1,4 @@
-"""Which hands of whole people can be seen at all: judged on the drawn picture."""
+"""Frames of whole people as a camera takes them: which hands can be seen at all is judged on the drawn picture."""
 
 from __future__ import annotations
 
@@ -10,11 +10,22 @@ import numpy as np
 
 from twohands.geometry.camera import project
 from twohands.skeleton import PART_NAMES
+from twohands.synth.render.motion_blur import blurred
+from twohands.synth.scene.spec import SceneSpec
+from twohands.synth.scene.views import quarter_turns
 from twohands.types import RenderedFrame
 
 LEAST_PIXELS: Final = 12
 LEAST_SHARE: Final = 0.12
 """Of the hull of a hand's joints in the picture: a hand is hidden where less of it is seen than both."""
+
+
+def taken(frame: RenderedFrame, scene: SceneSpec) -> RenderedFrame:
+    """The frame of a scene as its camera takes it: of whole people, turned as they stand, hands that cannot be seen are
+    absent, and moving arms blurred; of arms alone, the same."""
+    if not scene.people:
+        return frame
+    return blurred(seen_hands(replace(frame, turns=quarter_turns(scene.view))), scene.motion)
 
 
 def seen_hands(frame: RenderedFrame) -> RenderedFrame:

@@ -26,7 +26,6 @@ from twohands.synth.production.produce import Made
 from twohands.synth.render.choice import Renderer, RendererName, open_fabrics, open_renderer, renderer_version
 from twohands.synth.render.compositing import compose_frame
 from twohands.synth.render.lighting import lit_by, lit_inside
-from twohands.synth.render.motion_blur import blurred
 from twohands.synth.render.sensor import expose, sample_sensor
 from twohands.synth.scene.appearance import (
     sample_clothes,
@@ -44,10 +43,9 @@ from twohands.synth.scene.pose import ArmAnatomy
 from twohands.synth.scene.sampling import sample_belongings, sample_camera, worn_on_the_head
 from twohands.synth.scene.spec import SceneSpec, moved, viewed
 from twohands.synth.scene.things import Thing
-from twohands.synth.scene.views import quarter_turns
 from twohands.synth.sets.instances import arms_alone, check_drawn
 from twohands.synth.sets.people_sequences import PeopleSequence
-from twohands.synth.sets.presence import seen_hands
+from twohands.synth.sets.presence import taken
 from twohands.synth.sets.seeds import Split, instance_rng, sequence_rng, stream_seed
 from twohands.synth.sets.writer import encode_instance
 from twohands.types import RenderedFrame
@@ -307,8 +305,7 @@ class SequenceRenderer:
         rendered = self.renderer.render(scene)
         if config.amodal:
             rendered = replace(rendered, amodal=self.renderer.amodal(scene))
-        if scene.people:
-            rendered = blurred(seen_hands(replace(rendered, turns=quarter_turns(scene.view))), scene.motion)
+        rendered = taken(rendered, scene)
         noise = sequence_rng(self.set.scene_seed, sequence, "noise", frame)
         return rendered, expose(compose_frame(rendered, clip.frame(frame)), planned.sensor, noise)
 

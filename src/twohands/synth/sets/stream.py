@@ -15,13 +15,12 @@ from twohands.synth.backgrounds.procedural import ProceduralBackgrounds
 from twohands.synth.render.choice import Renderer, RendererName, open_renderer
 from twohands.synth.render.compositing import compose_frame
 from twohands.synth.render.lighting import lit_by, lit_inside
-from twohands.synth.render.motion_blur import blurred
 from twohands.synth.render.sensor import expose, sample_sensor, sample_webcam
 from twohands.synth.scene.config import SynthConfig
 from twohands.synth.scene.fabrics import FabricFolder
 from twohands.synth.scene.views import quarter_turns
 from twohands.synth.sets.instances import check_drawn, sample_scene
-from twohands.synth.sets.presence import seen_hands
+from twohands.synth.sets.presence import taken
 from twohands.synth.sets.seeds import instance_rng
 from twohands.types import HandSample, PinholeCamera, RenderedFrame
 
@@ -92,7 +91,7 @@ class SyntheticStream:
         frame = self.renderer.render(scene)
         if self.config.amodal:
             frame = replace(frame, amodal=self.renderer.amodal(scene))
-        return frame if turns is None else blurred(seen_hands(replace(frame, turns=turns)), scene.motion)
+        return taken(frame, scene)
 
     def background(self, index: int, camera: PinholeCamera, turns: int | None = None) -> Background:
         """Background of instance `index`, whose camera that is; `turns` as of `RenderedFrame`."""
